@@ -224,10 +224,11 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
     connected = "connected" if parts == 1 else f"in {parts} parts: {components}"
     reach = "" if found.unreached else "; links lead from there to all other vehicles" if len(followers) < n else ""
     low, high = found.eigenvalues[0], found.eigenvalues[-1]
-    lines = [
-        f"graph: {connected}; {who} the reference{reach}",
-        f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A: {found.spectral_radius_A:.4g}",
-    ]
+    moored = scenario.spec.moored  # nothing is controlled
+    lines = [f"graph: {connected}; {'the vehicles are moored' if moored else f'{who} the reference{reach}'}"]
+    if not moored:
+        radius = f"{found.spectral_radius_A:.4g}"
+        lines.append(f"eigenvalues of L+B: {_number(low)} to {_number(high)}; spectral radius of A: {radius}")
     network, acoustic = scenario.spec.network, scenario.acoustic
     if acoustic is not None:
         talking = describe_turns(network, acoustic, n, scenario.tick_ns)
@@ -236,7 +237,7 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
         )
         lines.append(describe_noise(network, acoustic, scenario.plans))
         lines += describe_slack(scenario)
-    if found.gain_max is not None:
+    if found.gain_max is not None and not moored:
         lines += [*_limits(scenario, found), *_rules_of_thumb(scenario, found)]
         lines.append("docs/background/stability.md explains these limits")
     return lines

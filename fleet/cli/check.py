@@ -115,6 +115,9 @@ def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Prob
         f"{loaded.duration_ns / 1e9:g} s in {loaded.ticks} ticks of {loaded.tick_ns / 1e6:g} ms, "
         + ("ideal network" if loaded.ideal else f"a round every {loaded.round_ticks} ticks")
     )
+    if loaded.spec.moored and not refused:
+        every = [signal.name for i in range(1, loaded.vehicles + 1) for signal in loaded.layout(i).control]
+        lines = [*lines, f"the agents report {', '.join(dict.fromkeys(every)) or 'nothing'}"]
     drawn = ", ".join(may_draw(loaded)) or "nothing, so every seed gives the same run"
     for line in [*lines, *link_lines(loaded), *timeline_lines(loaded), f"may draw from seed {loaded.seed}: {drawn}"]:
         say(line)

@@ -357,9 +357,12 @@ def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     from rich.console import Group
     from rich.text import Text
 
+    # Moored vehicles are where they began, and so are all at the start.
+    placed = any(error for row in status.vehicles for error in (row.formation_m, row.e_m))
+    formation = [f"formation error {status.formation}"] if placed else []
     lines = [
         f"{status.run}: t = {status.at_s:.2f} of {status.end_s:g} s, {status.clock}",
-        f"nodes {', '.join(status.nodes)}" if status.nodes else f"formation error {status.formation}",
+        *([f"nodes {', '.join(status.nodes)}"] if status.nodes else formation),
         f"packets {status.delivered} delivered, {status.lost} lost",
     ]
     if status.waiting not in ("", status.clock):
@@ -387,7 +390,7 @@ def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
         if shown < total
     ]
     tail = [Text(f"and {' and '.join(left_out)}{'' if every else ': --all'}")] if left_out else []
-    tables = [_links(links)] if status.nodes else [_vehicles(vehicles), _links(links)]
+    tables = [_links(links)] if status.nodes else [_vehicles(vehicles, placed=placed), _links(links)]
     return Group(*parts, *tables, *tail)
 
 
@@ -411,12 +414,13 @@ def _fault(fault: FaultRow, status: RunStatus) -> str:
     return f"fault {fault.id}: {left}: {fault.what}"
 
 
-def _vehicles(rows: list[VehicleRow]) -> Table:
-    table = _table("UUV", "state", "formation error", "e", "settled", "oldest data")
+def _vehicles(rows: list[VehicleRow], *, placed: bool) -> Table:
+    table = _table("UUV", "state", *(["formation error", "e", "settled"] if placed else []), "oldest data")
     for row in rows:
         news = "-" if row.oldest_s is None else f"{row.oldest_s:.2f} s, of {row.oldest_of}"
         errors = ("-" if value is None else f"{value:.3f} m" for value in (row.formation_m, row.e_m))
-        table.add_row(str(row.vehicle), row.state, *errors, "yes" if row.settled else "no", news)
+        kept = [*errors, "yes" if row.settled else "no"] if placed else []
+        table.add_row(str(row.vehicle), row.state, *kept, news)
     return table
 
 

@@ -55,7 +55,7 @@ def show(result: Result, terminal: Terminal) -> None:
     if result.vehicles:
         show_vehicles = _show_protocols if all(row.agent for row in result.vehicles.values()) else _show_vehicles
         show_vehicles(result.vehicles, result.from_s, terminal, say)
-    if len(result.vehicles) > 1:
+    if len(result.vehicles) > 1 and result.formation.worst_m != 0.0:  # moored vehicles are where they began
         say(f"formation error at the end: {result.formation}")
     if any(account.sent for account in result.ledger.values()):
         _show_links(result, terminal, say)
@@ -126,8 +126,10 @@ def _show_protocols(rows: dict[str, VehicleResult], from_s: float, terminal: Ter
             TerminalColumn(name if unit == "1" else f"{name}\n[{unit}]", cells(name), rank)
             for rank, (name, unit) in enumerate(units.items(), 1)
         ),
-        TerminalColumn("final formation\nerror [m]", [f"{rows[i].formation_final_m:.4f}" for i in shown]),
     ]
+    if any(row.formation_final_m != 0.0 for row in rows.values()):
+        errors = [f"{rows[i].formation_final_m:.4f}" for i in shown]
+        columns.append(TerminalColumn("final formation\nerror [m]", errors))
     laws = sorted({row.agent for row in rows.values()})
     table.show(columns, f"vehicles; what {', '.join(laws)} reported at the end", terminal, "see result.json")
     _tell_more(len(rows) - len(shown), say)

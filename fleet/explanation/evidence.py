@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
-from math import hypot, isfinite
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import pairwise
+from math import hypot, inf, isfinite
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from agents import payload
 from agents.errors import PayloadError
 from agents.localization.payload import decode as decode_located
 from agents.localization.payload import is_located
+from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
@@ -21,13 +23,16 @@ from fleet.logs.topic_names import link_topic
 from fleet.scenario.sections.signals import parse_name
 from netem.condition import Link
 from netem.fault_kinds import Cause
+from netem.lives import Absence, Lives
 
 TOPICS = ("uuv/*/state", "uuv/*/belief", "uuv/*/located", "uuv/*/control", "uuv/*/guidance", "uuv/*/error",
           "uuv/*/command", "uuv/*/clock", "uuv/*/plant", "uuv/*/nav", "faults", "link/*")  # fmt: skip
 MOST_GAPS = 400  # that are kept, those that explain most
 _FADES = 0.1  # seconds of silence that each second since its end makes up for: chosen
 _MOST_SIGNALS = 8  # of one vehicle
+_UNUSUAL = 2.5  # times the usual time between two sendings: chosen
 ON_THE_WAY = "on the way"
+NOT_SENT = "not sent"
 CORRUPTED = "corrupted"
 # Why a message did not arrive, in words.
 CAUSES: dict[str, str] = {
@@ -47,6 +52,7 @@ CAUSES: dict[str, str] = {
     Cause.DEAD_RECEIVER: "the receiver's agent was gone",
     CORRUPTED: "it arrived damaged",
     ON_THE_WAY: "it was still on the way",
+    NOT_SENT: "the sender sent nothing",
 }
 
 
@@ -61,13 +67,15 @@ class FaultThen(Struct, frozen=True):
 
 
 class Gap(Struct, frozen=True):
-    """Consecutive messages on one link, or on several at the same time, that did not arrive."""
+    """Consecutive messages on one link, or on several at the same time, that did not arrive or were never sent."""
 
     links: list[str]
-    cause: Annotated[str, Meta(description="Of most losses: a fate of the log, `corrupted`, or `on the way`.")]
+    cause: Annotated[
+        str, Meta(description="Of most losses: a fate of the log, `corrupted`, `on the way`, or `not sent`.")
+    ]
     words: str
-    from_s: float
-    to_s: float
+    from_s: Annotated[float, Meta(description="When the first was sent; of `not sent`: the last before the silence.")]
+    to_s: Annotated[float, Meta(description="When the last was sent; of `not sent`: the first after it.")]
     messages: Annotated[int, Meta(description="Of all links together.")]
     goes_on: Annotated[bool, Meta(description="Still silent when the check failed.")]
 
@@ -87,6 +95,8 @@ class VehicleThen(Struct, frozen=True):
     """A vehicle's knowledge when the check failed."""
 
     vehicle: int
+    life: Annotated[int, Meta(description="Which agent of the vehicle this is, from 1; kills end them.")]
+    life_since_s: float
     silent_s: Annotated[float | None, Meta(description="How long it had reported nothing; null: it did report.")]
     heard: Annotated[list[Heard], Meta(description="Of each neighbour.")]
     off_m: Annotated[float | None, Meta(description="Believed minus true position; null: it knew its place.")]
@@ -118,13 +128,45 @@ def evidence(
     """
     faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
     each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
+    numbers = log.vehicles or sorted({i for link in log.links for i in link})  # nodes have no topics of their own
+    kills = [(f.begin, f.end, kind_and_vehicles(f.what)) for f in log.faults if f.what.startswith("kill ")]
+    lives = Lives(
+        Absence(i, _ns(begin), _ns(end)) for begin, end, (_, killed) in kills for i in killed if end < log.end
+    )
     lost: Counter[str] = Counter()
     for packets in each.values():
         lost.update(cause for cause in packets.causes if cause)
-    vehicles = [_vehicle(log, i, at_s, each, signals, protocol=protocol) for i in log.vehicles]
-    return Evidence(
-        faults, _gaps(each, at_s, failing), dict(lost.most_common()), sum(len(p.sent) for p in each.values()), vehicles
-    )
+    vehicles = [_vehicle(log, i, at_s, each, signals, lives, protocol=protocol) for i in numbers]
+    pauses = _pauses(each, at_s)
+    gaps, sent = _gaps(each, at_s, failing, pauses), sum(len(packets.sent) for packets in each.values())
+    return Evidence(faults, gaps, dict(lost.most_common()), sent, vehicles)
+
+
+def first_older(
+    log: Log, links: Collection[Link], below_s: float, after_s: float, *, from_first_packet: bool
+) -> tuple[float, Link] | None:
+    """When the newest that had arrived on one of these links was first as old as a limit, and the link; None: never.
+
+    Args:
+        log: the log.
+        links: the links.
+        below_s: the limit [s].
+        after_s: earlier times do not count [s].
+        from_first_packet: whether the age of a link counts from its first packet, and not from the beginning.
+    """
+    found: list[tuple[float, Link]] = []
+    for link in set(links).intersection(log.links):
+        topic = log[link_topic(link)]
+        whole = (topic["fate"] == Cause.DELIVERED) & ~np.asarray(topic["corrupted"], bool)
+        arrivals = sorted(zip(topic["due"][whole].tolist(), topic["sent"][whole].tolist(), strict=True))
+        heard_s = arrived_s = float(topic["sent"].min()) if from_first_packet else log.begin
+        for due_s, sent_s in [*arrivals, (log.end, inf)]:
+            broken_s = max(heard_s + below_s, arrived_s, after_s)
+            if broken_s < due_s - 1e-9:
+                found.append((broken_s, link))
+                break
+            heard_s, arrived_s = max(heard_s, sent_s), due_s
+    return min(found, default=None)
 
 
 class _Packets(NamedTuple):
@@ -157,10 +199,14 @@ class _Packets(NamedTuple):
         """When the newest that arrived was sent [s]."""
         return next((s for s, cause in zip(reversed(self.sent), reversed(self.causes), strict=True) if not cause), None)
 
-    def gaps(self) -> Iterator[tuple[float, float, str, int, bool]]:
-        """Each gap: first and last sending [s], cause, number of messages, and whether it goes on."""
+    def gaps(self, pauses: Collection[float]) -> Iterator[tuple[float, float, str, int, bool]]:
+        """Each gap: first and last sending [s], cause, number of messages, and whether it goes on. `pauses`: when the
+        sender had sent for the last time before it was silent; a gap ends there, too."""
         begin, found = 0, Counter[str]()
         for k, cause in enumerate([*self.causes, ""]):
+            if found and self.sent[k - 1] in pauses:
+                yield self.sent[begin], self.sent[k - 1], found.most_common(1)[0][0], k - begin, False
+                found = Counter()
             if cause:
                 begin = begin if found else k
                 found[cause] += 1
@@ -169,31 +215,62 @@ class _Packets(NamedTuple):
                 found = Counter()
 
 
-def _gaps(each: dict[Link, _Packets], at_s: float, failing: Collection[int]) -> list[Gap]:
+def _pauses(each: Mapping[Link, _Packets], at_s: float) -> dict[int, list[tuple[float, float]]]:
+    """By sender: from when to when it sent nothing on any link, for much longer than is usual for it [s].
+
+    As it stops, dies or is paused; and a law of its own may choose to send nothing.
+    """
+    sent: dict[int, set[float]] = {}
+    for (src, _), packets in each.items():
+        sent.setdefault(src, set()).update(packets.sent)
+    found = {}
+    for src, some in sent.items():
+        times = sorted(some)
+        usual = float(np.quantile(np.diff(times), 0.95)) if len(times) > 1 else 0.0
+        found[src] = [(a, b) for a, b in pairwise([*times, at_s]) if b - a > _UNUSUAL * usual]
+    return found
+
+
+def _gaps(
+    each: dict[Link, _Packets], at_s: float, failing: Collection[int], pauses: Mapping[int, list[tuple[float, float]]]
+) -> list[Gap]:
     """The gaps of all links, by how much they explain. Equal gaps are one.
 
-    First come those by which a vehicle that failed heard nothing, and messages that are lost before those on the way.
-    Among them the longest comes first, and one that has long been over counts for less.
+    First come senders that are silent still. Then come those by which a vehicle that failed heard nothing, and messages
+    that are lost before those on the way. Among them the longest comes first, and one that has long been over counts
+    for less.
     """
     together: dict[tuple[float, float, str, bool], list[tuple[str, int]]] = {}
     for (src, dst), packets in each.items():
-        for first, last, cause, messages, goes_on in packets.gaps():
+        for first, last, cause, messages, goes_on in packets.gaps({begin for begin, _ in pauses[src]}):
             together.setdefault((first, last, cause, goes_on), []).append((f"{src}->{dst}", messages))
+        for begin, end in pauses[src]:
+            together.setdefault((begin, end, f"{NOT_SENT} {src}", end == at_s), []).append((f"{src}->{dst}", 0))
     gaps = [
-        Gap([link for link, _ in links], cause, CAUSES.get(cause, cause), first, last, sum(n for _, n in links), on)
+        _gap([link for link, _ in links], cause, first, last, sum(n for _, n in links), goes_on=on)
         for (first, last, cause, on), links in together.items()
     ]
 
     def rank(gap: Gap) -> tuple[Any, ...]:
+        stopped = gap.cause == NOT_SENT and gap.goes_on
         touched = any(int(link.partition("->")[2]) in failing for link in gap.links)
         silence = gap.to_s - gap.from_s - (0.0 if gap.goes_on else _FADES * (at_s - gap.to_s))
-        return not touched, gap.cause == ON_THE_WAY, -silence, gap.from_s, gap.links
+        return not stopped, not touched, gap.cause == ON_THE_WAY, -silence, gap.from_s, gap.links
 
     return sorted(gaps, key=rank)[:MOST_GAPS]
 
 
+def _gap(links: list[str], cause: str, first: float, last: float, messages: int, *, goes_on: bool) -> Gap:
+    cause = NOT_SENT if cause.startswith(NOT_SENT) else cause
+    return Gap(links, cause, CAUSES.get(cause, cause), first, last, messages, goes_on)
+
+
+def _ns(time_s: float) -> int:
+    return round(time_s * 1e9)
+
+
 def _vehicle(
-    log: Log, i: int, at_s: float, each: dict[Link, _Packets], signals: Sequence[str], *, protocol: bool
+    log: Log, i: int, at_s: float, each: dict[Link, _Packets], signals: Sequence[str], lives: Lives, *, protocol: bool
 ) -> VehicleThen:
     heard = [_heard(log, src, packets, at_s) for (src, dst), packets in each.items() if dst == i]
     shown: dict[str, float | None] = {}
@@ -218,7 +295,9 @@ def _vehicle(
     group = "located" if _there(log, f"uuv/{i}/located") is not None else "belief"
     sd = _value(log, f"uuv/{i}/{group}", "sd", at_s, absolute=True, width=2)
     off = _value(log, f"uuv/{i}/{group}", "off_norm", at_s)
-    return VehicleThen(i, silent, heard, off, sd, dict(list(shown.items())[:_MOST_SIGNALS]))
+    before = [end for _, end in lives.gaps(i) if end is not None and end <= _ns(at_s)]
+    since_s = before[-1] / 1e9 if before else log.begin
+    return VehicleThen(i, 1 + len(before), since_s, silent, heard, off, sd, dict(list(shown.items())[:_MOST_SIGNALS]))
 
 
 def _heard(log: Log, src: int, packets: _Packets, at_s: float) -> Heard:

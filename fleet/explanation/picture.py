@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from fleet.explanation.evidence import ON_THE_WAY, TOPICS
-from fleet.explanation.why import Why
+from fleet.explanation.why import Why, link_name, name_of
 from fleet.logs.open_log import Log, open_log
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
@@ -71,7 +71,7 @@ def _draw_gaps(ax: Axes, why: Why, links: list[str]) -> None:
             if link in rows:
                 ax.plot([gap.from_s, gap.to_s], [rows[link]] * 2, color=_colour(gap.cause, causes), linewidth=4.0,
                         solid_capstyle="projecting", zorder=2)  # fmt: skip
-    ax.set_yticks(list(rows.values()), list(rows), fontsize=LABEL_PT)
+    ax.set_yticks(list(rows.values()), [link_name(link, why) for link in rows], fontsize=LABEL_PT)
     ax.set_ylim(-0.8, len(links) + 0.9)
     ax.set_ylabel("silent links" if links else "no link was silent")
 
@@ -115,6 +115,6 @@ def _draw_signal(ax: Axes, why: Why, log: Log) -> str:
         return text
     whole = all((values == np.rint(values)).all() for values in known)
     for vehicle, (t, shown) in series.items():
-        line(ax, vehicle - 1, t, shown, f"vehicle {vehicle}", linewidth=THIN,
+        line(ax, vehicle - 1, t, shown, name_of(vehicle, why), linewidth=THIN,
              drawstyle="steps-post" if whole else "default")  # fmt: skip
     return text + (f" [{unit}]" if unit not in ("", "1") else "")

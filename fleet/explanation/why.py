@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,18 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from fleet.errors import FleetError
-from fleet.explanation.evidence import CAUSES, TOPICS, FaultThen, Gap, Heard, VehicleThen, evidence
+from fleet.execution.directory import SCENARIO
+from fleet.explanation.evidence import (
+    CAUSES,
+    NOT_SENT,
+    TOPICS,
+    FaultThen,
+    Gap,
+    Heard,
+    VehicleThen,
+    evidence,
+    first_older,
+)
 from fleet.explanation.no_return import HealingSearch, NoReturn, Remade, remake, with_moments
 from fleet.logs.open_log import Log, open_log
 from fleet.logs.reader import digest
@@ -23,6 +35,8 @@ from fleet.scenario.trust import Policy
 from fleet.study.engine import Engine
 from fleet.study.modules import Modules, modules_of
 from fleet.study.sweep import check_names
+from netem.condition import Link
+from netem.grammar import parse_selector, select
 from netem.parsing import nearest
 from netem.vehicle_clock import Clock
 
@@ -49,6 +63,7 @@ class Why(Struct, frozen=True):
     lost: Annotated[dict[str, int], Meta(description="By cause, how many of these had not arrived.")]
     gaps: Annotated[list[Gap], Meta(description="The most important first.")]
     vehicles: list[VehicleThen]
+    nodes: Annotated[list[str], Meta(description="Of `fleet netem`; else none.")]
     no_return: NoReturn
     notes: list[str]
 
@@ -134,9 +149,12 @@ class Explanation:
             return [], []
         before, now = (_values(_tree(text)) for text in (origin.text, source.text))
         keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
-        differs = [f"{key}: {now.get(key, 'not set')}, there {before.get(key, 'not set')}" for key in keys]
+        differs = [f"{key}: {_change(before.get(key), now.get(key))}" for key in keys]
         self._notes.append(f"it goes on from {path}, " + ("with changes" if differs else "with the same scenario"))
-        return differs, _recorded_verdicts(origin.path, known)
+        verdicts = _recorded_verdicts(origin.path, known)
+        if any(one.failed for one in verdicts):
+            self._why_not += f"; fleet why {shlex.quote(str(origin.path))} explains the run that it goes on from"
+        return differs, verdicts
 
     def _no_return(self, engine: Engine, modules: Modules) -> NoReturn:
         assert self._remade is not None
@@ -145,31 +163,44 @@ class Explanation:
 
     def _explained(self, found: NoReturn) -> Why:
         log = open_log(self.path, TOPICS, share=lambda share: self._tell(f"reading the log, {100 * share:.0f} %", 0))
-        begin, failed_s = self._when(log)
+        begin, failed_s, failing = self._when(log)
         at_s = min(failed_s, log.end)
         own = any(control.agent is not None for control in self.scenario.controls)
         verdict = self.verdict
-        failing = [] if verdict.moment is None else verdict.moment.vehicles
         then = evidence(log, at_s, verdict.signals, failing, protocol=own)
         return Why(
             self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others,
             self._differs, next((one.passed for one in self._before if one.check == verdict.check), None), begin,
-            failed_s, at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, found, self._notes,
+            failed_s, at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, list(self.scenario.nodes),
+            found, self._notes,
         )  # fmt: skip
 
-    def _when(self, log: Log) -> tuple[float, float]:
-        """The last time when the check held, and the time when it had failed [s]."""
+    def _when(self, log: Log) -> tuple[float, float, list[int]]:
+        """The last time when the check is known to have held, the time when it had failed [s], and who failed it."""
+        failing: list[int] = []
         if self.verdict.moment is not None:
-            at_s = self.verdict.moment.at_s
-            begin = at_s
+            begin = at_s = self.verdict.moment.at_s
+            failing = self.verdict.moment.vehicles
+        elif (older := self._older(log)) is not None:
+            at_s, (_, dst) = older
+            begin, failing = log.begin or at_s, [dst]  # what was heard before the log begins is not known
         elif self._remade is not None:
             begin, at_s = self._remade.failed_between(self.verdict.check)
         else:
-            margin = self.verdict.margin
-            begin = at_s = log.end if margin is None or margin.at_s is None else margin.at_s
+            margin = self.verdict.margin  # its time is that of the worst value, not of the first beyond the limit
+            begin, at_s = log.begin, log.end if margin is None or margin.at_s is None else margin.at_s
         if at_s > log.end:
             self._notes.append(f"the log ends at {log.end:g} s, before the check fails; this explains its end")
-        return begin, at_s
+        return begin, at_s, failing
+
+    def _older(self, log: Log) -> tuple[float, Link] | None:
+        """When the check `max_age` failed first, and on which link; None: it is another check, or the log tells not."""
+        asked = self.scenario.spec.checks.max_age
+        if asked is None or self.verdict.check != "max_age":
+            return None
+        links = select(parse_selector(asked.links), self.scenario.graph.links)
+        below_s, after_s = asked.below / 1e9, asked.after / 1e9
+        return first_older(log, links, below_s, after_s, from_first_packet=bool(self.scenario.nodes))
 
 
 def _recorded_verdicts(log: Path, known: str | None = None) -> list[Verdict]:
@@ -186,14 +217,25 @@ def _tree(text: str) -> Any:
     return None if node is None else plain(node)
 
 
-def _values(tree: Any, key: str = "") -> dict[str, str]:
-    """The values of a scenario by their keys, as `--set` writes them; a list counts as one."""
+def _values(tree: Any, key: str = "") -> dict[str, Any]:
+    """The values of a scenario by their keys; a list counts as one."""
     if not isinstance(tree, dict):
-        return {key: inline(tree)}
-    found: dict[str, str] = {}
+        return {key: tree}
+    found: dict[str, Any] = {}
     for name, value in tree.items():
         found |= _values(value, f"{key}.{name}" if key else str(name))
     return found
+
+
+def _change(before: Any, now: Any) -> str:
+    """How a value differs from what it was; of two lists only what one of them has alone."""
+    if isinstance(before, list) and isinstance(now, list):
+        alone = [[one for one in some if one not in others] for some, others in ((now, before), (before, now))]
+        if any(alone):
+            both = zip(("here", "there"), alone, strict=True)
+            return "; ".join(f"{where} {inline(some)}" for where, some in both if some)
+    here, there = ("not set" if value is None else inline(value) for value in (now, before))
+    return f"{here}, there {there}"
 
 
 def _why_not(source: Recorded, question: Question) -> str:
@@ -204,7 +246,8 @@ def _why_not(source: Recorded, question: Question) -> str:
     if source.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
         return "it was recorded with --clock real, so no run comes out the same again"
     if START in source.reader.attachments:
-        return "this run continues another log, so it cannot be made again from its start"
+        again = shlex.quote(str(source.path.parent / SCENARIO))
+        return f"it goes on from another run, so it is not healed; fleet run {again} makes it from the start"
     return ""
 
 
@@ -229,7 +272,7 @@ _MOST_FAULTS, _MOST_GAPS, _MOST_VEHICLES, _MOST_LINKS, _MOST_HEARD, _MOST_DIFFER
 
 
 def lines(why: Why) -> list[str]:
-    return [*_verdict(why), "", *_faults(why), "", *_messages(why), "", *_vehicles(why), "",
+    return [*_verdict(why), "", *_changes(why), *_faults(why), "", *_messages(why), "", *_vehicles(why), "",
             "the point of no return", f"  {why.no_return.words}", *_after(why)]  # fmt: skip
 
 
@@ -241,12 +284,18 @@ def _verdict(why: Why) -> Iterator[str]:
         yield f"  it held until {why.held_until_s:g} s, and had failed by {why.failed_s:g} s"
     else:
         yield f"  it failed at {why.failed_s:g} s"
-    if why.differs:
-        there = {True: ", where this check passed", False: ", where this check failed, too", None: ""}
-        yield f"  it goes on from another run{there[why.origin_passed]}; what differs from that one"
-        yield from (f"    {line}" for line in why.differs[:_MOST_DIFFER])
     if why.others:
         yield f"  also failed: {', '.join(why.others)} (--check explains another one)"
+
+
+def _changes(why: Why) -> Iterator[str]:
+    if why.differs:
+        there = {True: ", and this check passed there", False: ", and this check failed there, too", None: ""}
+        yield f"changed since the run that it goes on from{there[why.origin_passed]}"
+        yield from (f"  {line}" for line in why.differs[:_MOST_DIFFER])
+        if len(why.differs) > _MOST_DIFFER:
+            yield f"  and {len(why.differs) - _MOST_DIFFER} more (--json has them)"
+        yield ""
 
 
 def _faults(why: Why) -> Iterator[str]:
@@ -264,34 +313,51 @@ def _faults(why: Why) -> Iterator[str]:
 
 def _messages(why: Why) -> Iterator[str]:
     lost = sum(why.lost.values())
-    if not lost:
+    if lost:
+        yield f"messages that had not arrived by {why.at_s:g} s: {lost} of {why.sent}"
+    else:
         yield f"all {why.sent} messages arrived" if why.sent else "no message was sent"
-        return
-    yield f"messages that had not arrived by {why.at_s:g} s: {lost} of {why.sent}"
     for cause, count in why.lost.items():
         yield f"  {count}  {cause}: {CAUSES.get(cause, cause)}"
-    yield "  the silences that explain most"
+    if why.gaps:
+        yield "  the silences that explain most"
     for gap in why.gaps[:_MOST_GAPS]:
-        yield f"    {_gap(gap)}"
+        yield f"    {_gap(gap, why)}"
 
 
-def _gap(gap: Gap) -> str:
+def link_name(link: str, why: Why) -> str:
+    """A link such as `1->2`, with the names of nodes if it has some."""
+    return "->".join(why.nodes[int(i) - 1] if why.nodes else i for i in link.split("->"))
+
+
+def name_of(i: int, why: Why) -> str:
+    """A vehicle in words, or the name of a node."""
+    return why.nodes[i - 1] if why.nodes else f"vehicle {i}"
+
+
+def _gap(gap: Gap, why: Why) -> str:
+    if gap.cause == NOT_SENT:
+        span = f"after {gap.from_s:g} s" if gap.goes_on else f"between {gap.from_s:g} and {gap.to_s:g} s"
+        return f"{name_of(int(gap.links[0].partition('->')[0]), why)} sent nothing {span}"
+    links = [link_name(link, why) for link in gap.links]
     span = f"at {gap.from_s:g} s" if gap.from_s == gap.to_s else f"from {gap.from_s:g} to {gap.to_s:g} s"
     each = f"{gap.messages} message{'s' if gap.messages > 1 else ''}"
     on = ", and it went on" if gap.goes_on else ""
-    return f"{_some(gap.links, _MOST_LINKS)} {span}: {each}, {gap.words}{on}"
+    return f"{_some(links, _MOST_LINKS)} {span}: {each}, {gap.words}{on}"
 
 
 def _vehicles(why: Why) -> Iterator[str]:
-    yield f"what each vehicle knew at {why.at_s:g} s"
+    yield f"what each {'node had heard' if why.nodes else 'vehicle knew'} at {why.at_s:g} s"
     for vehicle in why.vehicles[:_MOST_VEHICLES]:
-        yield from _vehicle(vehicle)
+        yield from _vehicle(vehicle, why)
     if len(why.vehicles) > _MOST_VEHICLES:
         yield f"  and {len(why.vehicles) - _MOST_VEHICLES} more vehicles (--json has them)"
 
 
-def _vehicle(then: VehicleThen) -> Iterator[str]:
-    begin = f"  vehicle {then.vehicle}"
+def _vehicle(then: VehicleThen, why: Why) -> Iterator[str]:
+    begin = f"  {name_of(then.vehicle, why)}"
+    if then.life > 1:
+        begin += f" (life {then.life}, since {then.life_since_s:g} s; it began without memory)"
     if then.silent_s is not None:
         yield f"{begin}: had reported nothing for {then.silent_s:.3g} s"
         return
@@ -304,14 +370,15 @@ def _vehicle(then: VehicleThen) -> Iterator[str]:
         yield f"    it was {then.off_m:.2g} m from where it believed to be{sure}"
     if then.heard:
         worst = sorted(then.heard, key=lambda one: (one.age_s is not None, -(one.age_s or 0.0)))
-        yield f"    it had: {_some([_heard(one) for one in worst], _MOST_HEARD, '; ')}"
+        yield f"    {_some([_heard(one, why) for one in worst], _MOST_HEARD, '; ')}"
 
 
-def _heard(heard: Heard) -> str:
+def _heard(heard: Heard, why: Why) -> str:
+    name = why.nodes[heard.vehicle - 1] if why.nodes else str(heard.vehicle)
     if heard.sent_s is None:
-        return f"nothing of {heard.vehicle}"
-    moved = "" if heard.moved_m is None else f" and {heard.moved_m:.2g} m away"
-    return f"of {heard.vehicle} news from {heard.sent_s:g} s, {heard.age_s:.3g} s old{moved}"
+        return f"nothing from {name}"
+    moved = "" if heard.moved_m is None else f", {heard.moved_m:.2g} m from there"
+    return f"latest from {name}: sent at {heard.sent_s:g} s, {heard.age_s:.3g} s ago{moved}"
 
 
 def _after(why: Why) -> Iterator[str]:

@@ -77,18 +77,24 @@ class LinkHistory:
     """The present knowledge of one link."""
 
     fates: deque[str] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    sent_s: float = 0.0  # when the newest that arrived was sent; nobody has heard of another at the start
+    sent_s: float | None = 0.0  # when the newest that arrived was sent, or the run began; None: it is not known
     arrived_s: float = 0.0  # when something arrived last
 
     def settle(self, fate: str, sent_s: float, due_s: float) -> None:
         self.fates.append(fate)
         if fate in (ARRIVED, BEHIND):
-            self.sent_s = max(self.sent_s, sent_s)
+            self.sent_s = max(self.sent_s or 0.0, sent_s)
             self.arrived_s = max(self.arrived_s, due_s)
 
-    def age_s(self, now_s: float) -> float:
-        """How old the newest is that the receiver has [s]."""
-        return max(0.0, now_s - self.sent_s)
+    def told(self, sent_s: float) -> None:
+        """Take from somebody who knows the whole run when the newest that arrived was sent."""
+        if self.sent_s is None:
+            self.arrived_s = sent_s
+        self.sent_s = max(self.sent_s or 0.0, sent_s)
+
+    def age_s(self, now_s: float) -> float | None:
+        """How old the newest is that the receiver has [s]; None: it is not known."""
+        return None if self.sent_s is None else max(0.0, now_s - self.sent_s)
 
     @property
     def lost_of_last(self) -> int:

@@ -35,6 +35,7 @@ class LiveFeed:
         self.name = source.directory.name
         self.log = source.directory / "run.mcap"
         self._status: Row = {}
+        self._told: Row = {}  # the same, until the picture has it
         self._over = ""  # why there is nothing more to come
         self._published = True
         self._rate = MeasuredRate()
@@ -54,6 +55,7 @@ class LiveFeed:
         self.charted = [name for name in checked if self.signals.of_all(name)][:MOST_CHARTED]
         self._run = source.run
         self._listening = False
+        self._begun = source.awaited  # whether it is known from when on messages come
         if not source.awaited:
             self.listen()
 
@@ -82,6 +84,10 @@ class LiveFeed:
         beliefs, come = self._journal.take_newest(), self._journal.take()
         placed: tuple[float, bytes] | None = None
         shown_s = self.picture.at_s
+        told, self._told = self._told, {}
+        if (come or told) and not self._begun:
+            self._begun = True
+            self.picture.clear(come[0].log_ns / 1e9 if come else told["at_s"])
         for topic, log_ns, data in come:
             at_s = log_ns / 1e9
             if topic == TRANSFORMS:
@@ -96,6 +102,8 @@ class LiveFeed:
             take(self.picture, TRANSFORMS, *placed)
         for topic, log_ns, data in beliefs:
             take(self.picture, topic, log_ns / 1e9, data)
+        if told:
+            self.picture.told(told["at_s"], told["links"])
         self._rate.update(time.monotonic_ns(), int(self.picture.at_s * 1e9))
         return bool(come or beliefs)
 
@@ -114,7 +122,7 @@ class LiveFeed:
                 self._over = "the publisher is gone"
             return
         try:
-            self._status = self.ask("status")
+            self._status = self._told = self.ask("status", all=True)
             known = self.ask("faults")
             events = known["events"]
             lasting = [

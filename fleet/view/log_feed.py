@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from fleet.logs.deviation import begin_ns
 from fleet.logs.fault_intervals import MOST_EVENTS, intervals
 from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
@@ -190,6 +191,7 @@ class LogFeed:
         self.name = run_name(path)
         run = recorded(path)
         self.scenario: Scenario = run.script()
+        self._begin_s = begin_ns(run.reader) / 1e9
         self._tape = Tape(run.path)
         self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
         self.signals = Signals(self._tape.channels.values(), self._tape.schemas)
@@ -299,7 +301,7 @@ class LogFeed:
         track, at_ns = self._track, int(at_s * 1e9)
         stop = track.before(at_ns + 1)
         first = max(track.before(int(max(0.0, at_s - HISTORY_S) * 1e9)), stop - MOST_AT_ONCE)
-        self.picture.clear(0.0 if not first else track[first] / 1e9)
+        self.picture.clear(self._begin_s if not first else track[first] / 1e9)
         self._take(range(first, stop), moving=False)
         self.picture.at_s = at_s
         self._take_beliefs()

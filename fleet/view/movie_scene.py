@@ -297,6 +297,7 @@ class MovieScene:
         self._shown_s = [-APART_S] * len(self._model.links)  # when the last packet of a link was shown [s of the movie]
         self.figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
         FigureCanvasAgg(self.figure)
+        self._corners: dict[int, int] = {}  # of labels, by vehicle
         self._make_scene()
         self._make_texts(verdict)
         self._chart = MovieChart(
@@ -359,7 +360,7 @@ class MovieScene:
         self._draw_rings(rows, at_s)
         lanes = self._draw_links(rows, frame["links"])
         self._draw_packets(lanes, at_s)
-        self._draw_hulls(rows, frame)
+        self._draw_hulls(rows, frame, [ends for ends in lanes if ends is not None])
 
     def _write(self, frame: Row) -> None:
         self._clock.set_text(f"t = {frame['t']:.1f} s")
@@ -471,7 +472,7 @@ class MovieScene:
         for colour, points in by_colour.items():
             canvas.discs(points, 4.0 * canvas.size, 5.0, facecolor=colour, edgecolor="white", linewidth=0.4)
 
-    def _draw_hulls(self, rows: dict[int, list[Any]], frame: Row) -> None:
+    def _draw_hulls(self, rows: dict[int, list[Any]], frame: Row, lanes: list[Array]) -> None:
         camera, least = self._camera, 26.0 * self._canvas.size
         places = {i: camera.project(row[1:4])[0] for i, row in rows.items()}
         hulls, colours = [], []
@@ -483,12 +484,28 @@ class MovieScene:
             hulls.append(hull(ends[0], ends[1], thick / 2))
             colours.append(PRINT.colour(NO_AGENT) if i in frame["no_agent"] else PRINT.vehicle(i))
         self._canvas.polygons(hulls, 6.0, facecolor=colours, edgecolor="white", linewidth=0.6)
+        shares = np.linspace(0.0, 1.0, 12)[:, None]
+        links = np.concatenate([np.empty((0, 2)), *(a + shares * (b - a) for a, b in lanes)])
         for i, name, depth in frame["labels"]:
             if i in frame["labelled"] and i in places:
-                self._draw_label(i, name, depth, places[i], ill=i in frame["states"])
+                wide = max(0.65 * TEXT_PT * len(name), 0.55 * LABEL_PT * len(depth))
+                at = self._corner(i, places[i][:2], wide, links)
+                self._draw_label(i, name, depth, at, ill=i in frame["states"])
+
+    def _corner(self, i: int, at: Array, wide: float, links: Array) -> Array:
+        """Where the label of a vehicle begins: right above its hull, or where it hides less of links and is not cut; it
+        stays where it was if that is as good. `links`: points on them."""
+        left = -12.0 - wide
+        corners = at + np.array([(8.0, 10.0), (left, 10.0), (8.0, -18.0), (left, -18.0)])
+        least, most = corners - np.array([3.0, 12.0]), corners + np.array([wide + 3.0, 10.0])
+        hidden = ((links > least[:, None]) & (links < most[:, None])).all(axis=2).sum(axis=1)
+        costs = hidden + 1000 * ((least < 0.0) | (most > SCENE_PT)).any(axis=1)
+        last = self._corners.get(i, 0)
+        self._corners[i] = last if costs[last] == costs.min() else int(costs.argmin())
+        return np.asarray(corners[self._corners[i]])
 
     def _draw_label(self, i: int, name: str, depth: str, at: Array, *, ill: bool) -> None:
-        x, y = float(at[0]) + 8, float(at[1]) + 10
+        x, y = at.tolist()
         face, colour = (PRINT.colour(FAULT), "white") if ill else ("white", PRINT.vehicle(i))
         box = {"boxstyle": "round,pad=0.2", "facecolor": face, "edgecolor": "none", "alpha": 0.85}
         self._canvas.text(x, y, name, size=TEXT_PT, weight="bold", color=colour, bbox=box, zorder=7)

@@ -73,9 +73,12 @@ class ViewState:
         self.clear()
 
     def clear(self, at_s: float = 0.0) -> None:
-        """Forget the content of messages, because the next ones are of another time; faults stay known."""
-        self.at_s = at_s
-        self.links = {link: LinkHistory(sent_s=at_s, arrived_s=at_s) for link in self._numbers}
+        """Forget the content of messages, because the next ones are of another time; faults stay known.
+
+        `at_s`: what was before this time is not known, such as the age of what was heard then.
+        """
+        self.at_s = self.since_s = at_s
+        self.links = {link: LinkHistory(sent_s=None if at_s else 0.0, arrived_s=at_s) for link in self._numbers}
         self._places: dict[int, Vec3] = {}
         self._turns: dict[int, Vec3] = {}  # phi, theta, psi [rad]
         self._speeds: dict[int, float] = {}
@@ -137,6 +140,15 @@ class ViewState:
         if moving:
             late_s = round(message.due - message.sent, 4)
             self._packets.append([self._numbers[link], round(message.sent, 4), late_s, fate])
+
+    def told(self, at_s: float, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Take the time and how old the newest is that arrived on each link, as the console knows them. `rows`: src,
+        dst and age_s, as `fleet status --all` has them."""
+        if self._placed_s < 0.0:  # else time is that of the places
+            self.at_s = max(self.at_s, at_s)
+        for row in rows:
+            if (history := self.links.get((row["src"], row["dst"]))) is not None:
+                history.told(at_s - row["age_s"])
 
     def faults(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Take the list of faults, and of states of vehicles that last. `rows`: id, what, from_s, to_s and
@@ -203,6 +215,7 @@ class ViewState:
             "title": scenario.title,
             "end_s": self.end_s,
             "vehicles": scenario.vehicles,
+            "moored": bool(scenario.spec.moored),
             "names": [scenario.vehicle_name(i) for i in range(1, scenario.vehicles + 1)],
             "links": [list(link) for link in self._numbers],
             "both_ways": [link in scene.both_ways for link in self._numbers],
@@ -215,7 +228,7 @@ class ViewState:
             "crowd": scenario.vehicles > CROWD,
             "trail_s": TRAIL_S,
             "flight": {"least_s": LEAST_FLIGHT_S, "most_s": MOST_FLIGHT_S, "stops": STOPS},
-            "leaders": [i for i, b in enumerate(scenario.b, start=1) if b],
+            "leaders": [i for i, b in enumerate(scenario.b, start=1) if b and not scenario.spec.moored],
             "acoustic": scenario.acoustic is not None,
             "round_s": self._round_s,
             "placed": self.placed,
@@ -241,7 +254,8 @@ class ViewState:
             "uuv": [self._vehicle(i) for i in sorted(self._places)],
             "ref": _rounded(self.scene.reference(t)),
             "links": [history.state(t, self._stale_s) for history in self.links.values()],
-            "ages": [round(history.age_s(t), 2) for history in self.links.values()],
+            "since": round(self.since_s, 2),
+            "ages": [_hundredths(history.age_s(t)) for history in self.links.values()],
             "errors": errors,
             "states": states,
             "no_agent": [i for i, words in states.items() if NO_AGENT in words or DIVERGED in words],
@@ -323,10 +337,7 @@ class ViewState:
 
     def _sample(self) -> None:
         t = self._placed_s
-        ages = [
-            round(max(self.links[src, i].age_s(t) for src in sources), 2) if sources else None  # it hears of nobody
-            for i, sources in self.neighbours.items()
-        ]
+        ages = [_oldest([self.links[src, i].age_s(t) for src in sources]) for i, sources in self.neighbours.items()]
         self._counts.append((self._count[0], self._count[1]))
         self._count = [0, 0]
         if len(self._kinds) == MOST_SAMPLES:
@@ -344,6 +355,16 @@ class ViewState:
 
 def _rounded(values: Iterable[float]) -> list[float]:
     return [round(value, 3) for value in values]
+
+
+def _hundredths(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def _oldest(ages: Sequence[float | None]) -> float | None:
+    """The greatest age; None: one is not known, or there is none."""
+    known = [age for age in ages if age is not None]
+    return _hundredths(max(known)) if known and len(known) == len(ages) else None
 
 
 def _worst(errors: Sequence[float | None]) -> list[int]:

@@ -160,3 +160,9 @@ def test_a_long_chain_has_no_imaginary_parts() -> None:
     assert np.isrealobj(found)
     assert found.min() == pytest.approx(1.0)
     assert found.max() < 2.8 + 2.0 * np.sqrt(0.8)
+
+
+def test_a_moored_fleet_has_no_loop() -> None:
+    """Eigenvalues, limits and a reference that every vehicle follows were told of vehicles that stay where they are."""
+    scenario = load_scenario("election", ["moored=true"])
+    assert report(scenario, analyse(scenario)) == ["graph: connected; the vehicles are moored"]

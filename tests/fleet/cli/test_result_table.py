@@ -174,3 +174,12 @@ def test_a_run_of_protocols_shows_what_they_reported() -> None:
         ["3", "-", "-", "0.0030"],
     ]
     assert_screen("result-protocol", text)
+
+
+def test_moored_vehicles_have_no_errors_to_tell() -> None:
+    """They are where they began. A protocol is told by what its agents report."""
+    signals = {"there": SignalValue(4.0, "1")}
+    rows = {str(i): replace(vehicle(i, agent="gossip:Gossip", signals=signals), formation_final_m=0.0) for i in (1, 2)}
+    out = io.StringIO()
+    show(result(vehicles=rows, formation=Formation(0.0, 1, 0.0, 2), checks=[]), Terminal(file=out, width=80))
+    assert "there" in out.getvalue() and "formation" not in out.getvalue()

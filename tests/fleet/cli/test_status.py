@@ -101,6 +101,15 @@ def event(i: int, *, lasts: bool = False) -> dict[str, Any]:
     return {"what": f"tumbled {i}", "times": i, "first_s": 12.45, "last_s": 30.0, "lasts": lasts, "id": f"tumbled-{i}"}
 
 
+def test_moored_vehicles_have_no_errors_to_tell() -> None:
+    """They are where they began: errors of 0.000 m that nobody asked for stood in each row."""
+    values = answer()
+    still = [row | {"formation_m": 0.0, "e_m": 0.0} for row in values["vehicles"]]
+    text = "\n".join(shown(values | {"vehicles": still}))
+    assert not any(word in text for word in ("formation", "settled", " e ", "0.000 m"))
+    assert "1234.50 s, of 20" in text and "tumbled, no agent" in text
+
+
 def test_events_of_vehicles_are_no_faults() -> None:
     lines = [line.rstrip() for line in shown(answer(events=[event(1), event(3, lasts=True)]))]
     assert [line for line in lines if line.startswith("event")] == [

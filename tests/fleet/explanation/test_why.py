@@ -9,6 +9,8 @@ from shutil import copytree
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from in_process_runs import recorded as run
 from msgspec import structs
 from refusals import check_commands
@@ -19,10 +21,12 @@ from tool import invoke
 from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.explanation.evidence import first_older
 from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
 from fleet.explanation.picture import _lanes
 from fleet.explanation.why import Explanation, Question, Why, lines
-from fleet.logs.open_log import open_log
+from fleet.logs.open_log import Log, open_log
+from fleet.logs.topic_names import link_topic
 from fleet.pictures.style import panels
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario, parse_scenario
@@ -57,6 +61,17 @@ def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def small_lossy(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    """Three seconds of links that lose two messages of three."""
+    folder = tmp_path_factory.mktemp("lossy")
+    text = LONGER.replace("duration: 2 s", "duration: 3 s").replace(
+        "{period: 50 ms", "{period: 50 ms, links: {'*': loss 65%}"
+    )
+    (folder / "lossy.yaml").write_text(text, "utf-8")
+    return open_log(recorded(folder, str(folder / "lossy.yaml")), ["link/*"])
+
+
+@pytest.fixture(scope="module")
 def why(small_log: Path) -> Why:
     """Its explanation."""
     return explained(small_log)
@@ -86,6 +101,12 @@ def test_a_run_that_goes_on_from_another_with_another_controller(tmp_path: Path)
     why = explained(result.directory)
     assert why.differs == ["controller: boc, there nboc", "checks.formation_error.below: 0.01 m, there 50 m"]
     assert why.origin_passed is True
+    text = lines(why)
+    assert text.index("changed since the run that it goes on from, and this check passed there") < min(
+        k for k, line in enumerate(text) if line.startswith(("faults", "no fault", "messages", "all"))
+    )
+    again = Path(next(word for word in why.no_return.words.split() if word.endswith("scenario.yaml")))
+    assert again.exists() and "fleet run" in why.no_return.words
     error = open_log(result.directory, ["uuv/*/error"])
     topics = (error[name] for name in error if len(error[name]))
     over = [topic.t[(topic.t >= 2.0) & (topic.formation_norm >= 0.01)] for topic in topics]
@@ -102,7 +123,48 @@ faults:
     text = LONGER.replace("{period: 50 ms", "{period: 50 ms, links: {'*': loss 30%, 2->1: loss 0%}")
     (tmp_path / "silent.yaml").write_text(text + down + "checks: {max_age: {below: 750 ms, links: 2->1}}\n", "utf-8")
     why = explained(recorded(tmp_path, str(tmp_path / "silent.yaml")), most_runs=0)
-    assert (why.gaps[0].links, why.gaps[0].messages) == (["2->1"], 16)
+    assert (why.held_until_s, why.failed_s) == (pytest.approx(1.4), pytest.approx(1.4))  # the newest is of 650 ms
+    assert (why.gaps[0].links, why.gaps[0].messages) == (["2->1"], 15)
+
+
+def test_a_sender_that_stopped_comes_before_random_losses(tmp_path: Path) -> None:
+    """Killed, paused and restarted senders were not told, and losses of single messages in their place."""
+    faults = "faults=[{at: 1 s, for: 2 s, kill: 4}, {at: 4 s, for: 2 s, pause: 2}, {at: 8 s, kill: 3}]"
+    loss, check = "network.links={'*': loss 20%}", "checks={max_age: {below: 1500 ms, after: 8 s}, tumbled: waived}"
+    log = recorded(tmp_path, "kill-restart", "duration=12 s", faults, loss, check, *COARSE)
+    why = explained(log, "max_age", 0)
+    text = "\n".join(lines(why))
+    first = next(line for line in text.splitlines() if "sent nothing" in line or "message," in line)
+    assert first.split() == ["vehicle", "3", "sent", "nothing", "after", "7.9", "s"]
+    silent = [(gap.links[0][0], gap.from_s, gap.to_s) for gap in why.gaps if gap.cause == "not sent"]
+    assert silent == [("3", 7.9, why.at_s), ("2", 3.9, 6.0), ("4", 0.9, 3.0)]
+    across = [gap for gap in why.gaps if gap.links == ["2->1"] and gap.from_s < 5.0 < gap.to_s]
+    assert across == []  # losses before and after a pause are two gaps
+    lives = {then.vehicle: (then.life, then.life_since_s) for then in why.vehicles}
+    assert lives == {1: (1, 0.0), 2: (1, 0.0), 3: (1, 0.0), 4: (2, 3.0)}
+    assert "vehicle 4 (life 2, since 3 s; it began without memory)" in text
+    named = "\n".join(lines(structs.replace(why, nodes=["auv1", "auv2", "auv3", "ship"])))
+    assert "auv3 sent nothing after 7.9 s" in named and "latest from auv2: sent at" in named
+    assert "vehicle 3" not in named.partition("\n\n")[2]
+
+
+@given(st.integers(0, 8), st.integers(1, 30), st.integers(0, 60), st.booleans())
+def test_an_age_fails_at_the_first_tick_at_which_it_is_too_old(
+    small_lossy: Log, link: int, below: int, after: int, from_first_packet: bool
+) -> None:
+    """It was told as the time of the greatest age: 79.455 s in place of 31 s."""
+    log, tick_s = small_lossy, 0.05
+    chosen = log.links[link % len(log.links)]
+    topic = log[link_topic(chosen)]
+    arrived = [(round(due / tick_s), round(sent / tick_s))
+               for due, sent, fate in zip(topic["due"], topic["sent"], topic["fate"], strict=True)
+               if fate == "delivered"]  # fmt: skip
+    begin = round(topic["sent"].min() / tick_s) if from_first_packet else 0
+    ages = {t: t - max([begin, *(sent for due, sent in arrived if due <= t)]) for t in range(begin, 60)}
+    expected = next((t for t, age in ages.items() if t >= after and age >= below), None)
+    found = first_older(log, [chosen], below * tick_s, after * tick_s, from_first_packet=from_first_packet)
+    assert (None if found is None else round(found[0] / tick_s)) == expected
+    assert found is None or found[1] == chosen
 
 
 def test_a_check_that_is_not_there_is_said_before_anything_is_run(small_log: Path) -> None:
@@ -146,9 +208,10 @@ def test_a_drift(tmp_path: Path) -> None:
     assert all(one.from_snapshot for one in why.no_return.tried[1:])
 
 
-def test_a_push(why: Why) -> None:
+def test_a_push(why: Why, small_log: Path) -> None:
     assert (why.check, why.faults[0].id, why.faults[0].on) == ("formation_error", "push", True)
-    assert why.held_until_s == why.at_s == pytest.approx(1.65)
+    error = open_log(small_log, ["uuv/1/error"])["uuv/1/error"]
+    assert why.held_until_s == why.at_s == pytest.approx(error.t[error.formation_norm >= 5.5][0])
     found = why.no_return
     assert found.how == "bisected"
     assert found.passes_s is not None

@@ -33,7 +33,7 @@ def feed_of(picture: ViewState, **more: Any) -> Any:
     """A feed of such a run, with no more than it needs here."""
     feed: Any = object.__new__(LiveFeed)
     rate, signals = SimpleNamespace(value=1.0, update=lambda *_: None), SimpleNamespace(values=lambda *_: ())
-    vars(feed).update(_journal=journal(), picture=picture, _rate=rate, signals=signals, **more)
+    vars(feed).update(_journal=journal(), picture=picture, _rate=rate, signals=signals, _begun=False, _told={}, **more)
     return feed
 
 
@@ -68,6 +68,27 @@ def test_what_the_queue_has_no_room_for_is_counted(monkeypatch: pytest.MonkeyPat
             feed._journal.receive(sample("faults", b"\xff", next(place)))
         assert feed.advance()
     assert feed.missing.count == 3
+
+
+def test_who_comes_late_asks_the_console_what_was_before() -> None:
+    """Ages were counted from 0: 82.9 s in place of 24. Also of a run that is paused, so that no message comes."""
+    rows = [{"src": 1, "dst": 2, "age_s": 24.0}]
+    asked: list[Any] = []
+
+    def ask(op: str, **fields: Any) -> Any:
+        asked.append((op, fields))
+        return {"at_s": 80.0, "end_s": 90.0, "links": rows, "faults": [], "events": [], "checks": []}
+
+    feed = feed_of(ViewState(small()), _over="", _run=object(), ask=ask)
+    feed._journal.bus.connected = True
+    feed.look()
+    assert asked[0] == ("status", {"all": True})
+    feed.advance()
+    frame = feed.picture.frame()
+    assert (frame["t"], frame["since"]) == (80.0, 80.0)
+    k = feed.picture.setup()["links"].index([1, 2])
+    assert frame["ages"][k] == 24.0 and set(frame["ages"]) == {24.0, None}
+    assert frame["links"][k] == "stale"
 
 
 def test_of_many_beliefs_the_newest_is_shown_and_none_is_missing() -> None:

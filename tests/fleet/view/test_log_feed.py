@@ -10,8 +10,11 @@ from marks import slow
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReadError
+from fleet.repeat.resume import continuation
 from fleet.view.feed import fault_message
 from fleet.view.log_feed import LogFeed
 
@@ -43,6 +46,19 @@ def test_it_shows_what_the_log_says_at_a_time(feed: LogFeed, log: Path) -> None:
     states = dict(zip(map(tuple, feed.picture.setup()["links"]), frame["links"], strict=True))
     assert states[2, 3] == "cut" and states[1, 2] == "delivering"
     assert frame["packets"] == []  # those of the second before are not on their way
+
+
+def test_what_was_heard_before_a_run_went_on_is_not_known(tmp_path: Path, alone: Alone) -> None:
+    """Its age was counted from 0, although something had been heard in the run before."""
+    first = log_of(alone("paper", *SHORT, "log.snapshot=1 s"))
+    scenario, start = continuation(first, 2_000_000_000, ["faults=[{at: 2 s, mute: 2}]", "duration=3 s"])
+    made = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
+    assert made.directory is not None
+    feed = LogFeed(made.directory / "run.mcap")
+    feed.seek(2.5)
+    frame = feed.picture.frame()
+    ages = dict(zip(map(tuple, feed.picture.setup()["links"]), frame["ages"], strict=True))
+    assert frame["since"] == 2.0 and ages[2, 3] is None and ages[1, 2] < 0.3
 
 
 def test_time_goes_back_as_well(feed: LogFeed) -> None:

@@ -11,6 +11,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from in_process_runs import Alone, log_of
 from marks import slow
 from PIL import Image, ImageChops
@@ -277,3 +279,23 @@ def test_a_fleet_in_a_column_stays_below_the_texts_and_above_the_legend() -> Non
     scene_y0, scene_height = scene.figure.axes[0].get_position().y0, scene.figure.axes[0].get_position().height
     low, high = sorted(scene_y0 + y / SCENE_PT[1] * scene_height for y in camera.project(column)[:, 1])
     assert scene_y0 + 12 / SCENE_PT[1] * scene_height < low and high < lowest_text
+
+
+@given(
+    st.tuples(st.floats(60.0, SCENE_PT[0] - 60.0), st.floats(40.0, SCENE_PT[1] - 40.0)),
+    st.floats(-np.pi, np.pi),
+    st.floats(10.0, 45.0),
+)
+def test_a_label_hides_no_link_if_a_corner_is_free(at: tuple[float, float], turn: float, wide: float) -> None:
+    """Of five vehicles in a row the labels hid all links."""
+    scene: Any = SimpleNamespace(_corners={})
+    away = np.linspace(13.0, 100.0, 60)[:, None] * (np.cos(turn), np.sin(turn))
+    links = np.concatenate([np.array(at) + away, np.array(at) - away])  # through the vehicle, as in a row
+    x, y = MovieScene._corner(scene, 1, np.array(at), wide, links)
+    inside = (links[:, 0] > x) & (links[:, 0] < x + wide) & (links[:, 1] > y - 9.0) & (links[:, 1] < y + 8.0)
+    assert not inside.any()
+    assert 0.0 <= x <= SCENE_PT[0] - wide and 0.0 <= y <= SCENE_PT[1]
+    assert (MovieScene._corner(scene, 1, np.array(at), wide, links) == (x, y)).all()  # it stays
+    near = np.array([SCENE_PT[0] - 5.0, SCENE_PT[1] - 5.0])
+    x, y = MovieScene._corner(scene, 2, near, wide, np.empty((0, 2)))
+    assert x + wide <= SCENE_PT[0] and y <= SCENE_PT[1]

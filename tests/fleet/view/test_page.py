@@ -211,3 +211,26 @@ def test_a_line_through_the_fleet_parts_it_and_ctrl_c_ends_run_and_page(opened: 
         assert run.status() == 130, run.printed
         run.until_nobody_is_left()
         assert "Traceback" not in run.printed
+
+
+# Of the labels of vehicles: whether the canvas cuts one, and how many links they lie on.
+LABELS = """() => {
+    const { scene } = document.querySelector(".fleet-view").fleet;
+    const wide = Math.max(...scene.boxes.map(([left, , wide]) => left + wide));
+    return [Math.min(...scene.boxes.map(([left]) => left)) < 0 || wide > scene.width, scene.boxes.length];
+}"""
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_charts_and_labels_are_not_cut(opened: Any, alone: Alone, width: int) -> None:
+    """At 1400 px the fifth chart was cut, at 390 px the label of vehicle 1."""
+    log = log_of(alone("partition-heal", "duration=2 s", "checks={signal: [{topic: state.z, below: 90 m}]}"))
+    with served(str(log)) as address:
+        one = tab(opened, address)
+        one.page.set_viewport_size({"width": width, "height": 900})
+        assert one.vehicles()
+        assert one.page.evaluate(LABELS) == [False, 4]
+        charts = one.page.locator(".fleet-charts")
+        assert charts.locator(".fleet-chart").count() == 5
+        assert charts.evaluate("(el) => el.scrollWidth <= el.clientWidth")
+        assert one.wrong == []

@@ -11,9 +11,12 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from hypothesis import given
+from hypothesis import strategies as st
 from small_scenario import small
 
 from fleet.recorder.transforms import quaternion
+from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.view.view_state import MOST_PACKETS, SAMPLE_S, ViewState
 
@@ -109,6 +112,36 @@ def test_samples_come_at_their_interval_and_stay_as_history() -> None:
     assert picture.history()["samples"] == samples and shown(picture)["samples"] == []
 
 
+@given(st.lists(st.tuples(st.integers(0, 3), st.sampled_from(["delivered", "down"])), max_size=30), st.integers(1, 29))
+def test_who_comes_late_shows_no_age_that_is_wrong(packets: list[tuple[int, str]], first: int) -> None:
+    """Ages were counted from 0, or from the time of a jump. Without a console it says that it does not know them."""
+    scenario = small()
+    whole, late, told = ViewState(scenario), ViewState(scenario), ViewState(scenario)
+    for picture in (late, told):
+        picture.clear(float(first))
+    links = scenario.graph.links
+
+    def age(link: tuple[int, int]) -> float:
+        return whole.at_s - max([n for n, (k, fate) in enumerate(packets[: int(whole.at_s)]) if links[k] == link
+                                 and fate == "delivered"], default=0)  # fmt: skip
+
+    for number, (k, fate) in enumerate(packets):
+        for picture in (whole, late, told)[: 3 if number >= first else 1]:
+            picture.packet(links[k], packet(float(number), number + 0.05, fate))
+    for picture in (whole, late, told):
+        picture.at_s = float(max(len(packets), first))
+    told.told(told.at_s, [{"src": src, "dst": dst, "age_s": age((src, dst))} for src, dst in links])
+    ages = shown(whole)["ages"]
+    assert shown(told)["ages"] == ages and shown(told)["since"] == first
+    heard = {links[k] for k, fate in packets[first:] if fate == "delivered"}
+    assert shown(late)["ages"] == [age if link in heard else None for link, age in zip(links, ages, strict=True)]
+    late.transforms(40.0, placed(scenario, 40.0, (0, 0, 0), (0, 0, 0), (0, 0, 0)))
+    oldest = dict(zip(late.neighbours, shown(late)["samples"][0][2], strict=True))
+    assert all(
+        (oldest[dst] is None) == any((src, dst) not in heard for src in some) for dst, some in late.neighbours.items()
+    )
+
+
 def test_scripted_faults_are_known_before_they_begin() -> None:
     picture = ViewState(small("duration=20 s", "faults=[{at: 5 s, for: 2 s, kill: 3}]"))
     assert [(row["what"], row["active"]) for row in shown(picture)["faults"]] == [("kill 3", False)]
@@ -187,3 +220,10 @@ def test_frames_of_no_vehicle_are_left_out(name: str) -> None:
     message.transforms.add(child_frame_id=name, translation=Vector3(), rotation=Quaternion(w=1.0))
     picture.transforms(1.0, message)
     assert picture.frame()["uuv"] == []
+
+
+def test_a_moored_fleet_follows_no_reference() -> None:
+    setup = ViewState(load_scenario("election", ["moored=true"])).setup()
+    assert setup["moored"] and setup["leaders"] == []
+    setup = ViewState(small()).setup()
+    assert not setup["moored"] and setup["leaders"]

@@ -18,6 +18,9 @@ export function write(element, text) {
 
 export const number = (value, digits, unit) => (value == null ? "-" : `${value.toFixed(digits)} ${unit}`);
 
+// How old the newest is that was heard; null: it was sent before all that the page knows.
+export const old = (age, since) => (age == null ? `sent before ${since.toFixed(1)} s` : `${age.toFixed(1)} s old`);
+
 // A canvas with as many dots as its size on the screen has: its context, in pixels of the page, and its size in these.
 export function fitted(canvas) {
   const dots = Math.min(2, window.devicePixelRatio || 1);

@@ -102,7 +102,10 @@ export function render({ model, el }) {
     },
     "change:commands": () => panels.writeCommands(model.get("commands")),
     "change:problem": () => bar.problem(model.get("problem")),
-    "change:signals": () => charting.offer(model.get("signals")),
+    "change:signals": () => {
+      charting.offer(model.get("signals"));
+      panels.offer(model.get("signals"));
+    },
   };
   for (const [event, listener] of Object.entries(listeners)) model.on(event, listener);
   // Space holds and goes on, where it does nothing else: not in fields and on buttons.

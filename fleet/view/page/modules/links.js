@@ -1,6 +1,6 @@
 // The links as a list for the keyboard: the worst first, and those that are looked for.
 import { LINKS } from "./colours.js";
-import { make, write } from "./dom.js";
+import { make, old, write } from "./dom.js";
 
 const EVERY_MS = 500;
 const MOST_WORST = 6;
@@ -31,11 +31,11 @@ export class LinkList {
 
   show() {
     if (!this.now) return;
-    const { links, kinds } = this.now;
+    const { t, since, links, kinds } = this.now;
     const counts = this.setup.worst_first.map((state) => [state, links.filter((one) => one === state).length]);
     write(this.summary, counts.filter(([, count]) => count).map(([state, count]) => `${count} ${state}`).join(", "));
     const shares = kinds.slice(0, 5).map(([kind, all, lost]) => `${kind} ${all}${lost ? `, ${((100 * lost) / all).toFixed(0)} % lost` : ""}`);
-    write(this.kinds, shares.length ? `Packets of the last minute by payload: ${shares.join("; ")}` : "");
+    write(this.kinds, shares.length ? `Packets ${since && t - since < 60 ? `since ${since.toFixed(1)} s` : "of the last minute"} by payload: ${shares.join("; ")}` : "");
     const wanted = this.wanted();
     // While somebody is in the list it keeps its order, so that nothing moves away from under a finger or a key.
     const held = this.list.contains(document.activeElement) || this.list.matches(":hover");
@@ -74,7 +74,7 @@ export class LinkList {
 
   badness(a, b) {
     const { links, losses, ages } = this.now;
-    return this.rank.get(links[a]) - this.rank.get(links[b]) || losses[b] - losses[a] || ages[b] - ages[a] || a - b;
+    return this.rank.get(links[a]) - this.rank.get(links[b]) || losses[b] - losses[a] || (ages[b] ?? Infinity) - (ages[a] ?? Infinity) || a - b;
   }
 
   row(k) {
@@ -90,12 +90,12 @@ export class LinkList {
   }
 
   writeRow(k) {
-    const { links, losses, ages } = this.now;
+    const { links, losses, ages, since } = this.now;
     const [src, dst] = this.setup.links[k];
     const name = links[k];
     const lost = losses[k] ? `, ${losses[k]} of the last ten lost` : "";
     const button = this.rows.get(k).firstChild;
-    write(button, `${this.setup.names[src - 1]} → ${this.setup.names[dst - 1]}: ${name}${lost}, ${ages[k].toFixed(1)} s old`);
+    write(button, `${this.setup.names[src - 1]} → ${this.setup.names[dst - 1]}: ${name}${lost}, ${old(ages[k], since)}`);
     button.style.color = LINKS[name].colour;
   }
 

@@ -1,12 +1,13 @@
 // What stands beside the picture: checks, faults, vehicles, links, and the commands that had an effect.
 import { LINKS } from "./colours.js";
 import { copyText } from "./copy.js";
-import { make, number, write } from "./dom.js";
+import { make, number, old, write } from "./dom.js";
 import { LinkList } from "./links.js";
 import { VehicleTable } from "./vehicles.js";
 import { Checks, Faults } from "./verdict.js";
 
 const EVERY_MS = 250;
+const MOST_REPORTED = 4;
 const COMMANDS = [["surge", "N"], ["pitch", "N m"], ["yaw", "N m"]];
 const panel = (title, ...children) =>
   make("section", { class: "fleet-panel" }, make("h2", {}, title), ...children);
@@ -68,7 +69,7 @@ export class Panels {
     const tau = COMMANDS.map(([, unit], k) => number(this.handlers.latest(`uuv/${i}/command.tau_${k}`, i), 1, unit));
     write(this.commanded, `commands: ${COMMANDS.map(([what], k) => `${what} ${tau[k]}`).join(", ")}`);
     for (const { src, link, text } of this.heardOf) {
-      write(text, `from ${src}: ${frame.links[link]}, ${frame.ages[link].toFixed(1)} s old`);
+      write(text, `from ${src}: ${frame.links[link]}, ${old(frame.ages[link], frame.since)}`);
       text.style.color = LINKS[frame.links[link]].colour;
     }
   }
@@ -90,6 +91,13 @@ export class Panels {
       make("p", { class: "fleet-note" }, "What it hears of its neighbours:"),
       make("ul", {}, ...this.heardOf.map((one) => one.el)),
     );
+  }
+
+  // Of moored vehicles the table shows from the start what their agents report.
+  offer({ fleet }) {
+    const reported = Object.keys(fleet).filter((name) => name.startsWith("control."));
+    if (this.setup.moored && !this.offered && reported.length) this.table.setColumns(reported.slice(0, MOST_REPORTED));
+    this.offered = true;
   }
 
   writeCommands(commands) {

@@ -2,7 +2,7 @@
 import { Camera } from "./camera.js";
 import { LINKS, colour, hull } from "./colours.js";
 import { along, bent, distanceToLane, isLeft, lane, round } from "./geometry.js";
-import { fitted } from "./dom.js";
+import { fitted, old } from "./dom.js";
 import { axis, drawHull, drawnSize } from "./hull.js";
 import { Packets, drawCross } from "./packets.js";
 import { paint, place, pointsOf } from "./primitives.js";
@@ -10,6 +10,7 @@ import { paint, place, pointsOf } from "./primitives.js";
 const FRAME_MS = 33;
 const LINK_PX = 8; // that a click may miss a link by
 const HULL_PX = 18;
+const LABEL_PX = 17; // its height
 const AWAY_PX = 17; // that a link keeps from a vehicle that it is not of
 
 export class Scene {
@@ -33,6 +34,7 @@ export class Scene {
     this.now = null;
     this.trails = new Map();
     this.lanes = [];
+    this.corners = new Map(); // of labels, by vehicle
     this.spots = [];
     this.chosen = 0;
     this.over = null; // what is under the pointer
@@ -257,6 +259,7 @@ export class Scene {
     const seen = rows.map((row) => ({ row, at: project(row.slice(1, 4)) })).sort((a, b) => b.at[2] - a.at[2]);
     const labels = new Map(frame.labels.map(([i, ...texts]) => [i, texts]));
     this.spots = [];
+    this.boxes = []; // of the labels so far
     for (const { row, at } of seen) {
       const i = row[0];
       const silent = frame.no_agent.includes(i);
@@ -269,23 +272,44 @@ export class Scene {
     }
   }
 
-  drawLabel(i, [x, y], [name, depth], ill) {
+  // The corner of a label: right above its hull, or beside it where no border, link or label is; where it was if that is as good.
+  corner(i, x, y, wide) {
+    const corners = [[14, -26], [-14 - wide, -26], [14, 9], [-14 - wide, 9]].map(([dx, dy]) => [x + dx, y + dy]);
+    const lanes = this.setup.many ? [] : this.lanes.filter(Boolean);
+    const costs = corners.map(([left, top]) => {
+      const cut = left < 0 || left + wide > this.width || top < 0 || top + LABEL_PX > this.height;
+      const over = lanes.filter((lane) => [0, 1 / 3, 2 / 3, 1].some((share) => distanceToLane(left + share * wide, top + LABEL_PX / 2, lane) < LABEL_PX / 2));
+      const others = this.boxes.filter(([a, b, w]) => Math.abs(b - top) < LABEL_PX && a < left + wide && left < a + w);
+      return (cut ? 100 : 0) + over.length + 2 * others.length;
+    });
+    const last = this.corners.get(i) ?? 0;
+    const least = Math.min(...costs);
+    const k = costs[last] === least ? last : costs.indexOf(least);
+    this.corners.set(i, k);
+    this.boxes.push([...corners[k], wide]);
+    return corners[k];
+  }
+
+  drawLabel(i, at, [name, depth], ill) {
     const { g } = this;
     g.textBaseline = "middle";
+    g.font = "11px system-ui, sans-serif";
+    const more = depth ? g.measureText(depth).width + 7 : 0;
     g.font = "600 12px system-ui, sans-serif";
     const wide = g.measureText(name).width + 10;
+    const [left, top] = this.corner(i, at[0], at[1], wide + more);
     g.fillStyle = ill ? "rgba(110, 20, 35, 0.9)" : "rgba(4, 14, 26, 0.75)";
     g.beginPath();
-    g.roundRect(x + 14, y - 26, wide, 17, 5);
+    g.roundRect(left, top, wide, LABEL_PX, 5);
     g.fill();
     g.fillStyle = ill ? "#ffffff" : hull(i);
-    g.fillText(name, x + 19, y - 17);
+    g.fillText(name, left + 5, top + 9);
     if (depth) {
       g.font = "11px system-ui, sans-serif";
       g.fillStyle = "rgba(4, 14, 26, 0.6)"; // a link may lie below
-      g.fillRect(x + 15 + wide, y - 26, g.measureText(depth).width + 6, 17);
+      g.fillRect(left + 1 + wide, top, more - 1, LABEL_PX);
       g.fillStyle = "rgba(205, 225, 245, 0.85)";
-      g.fillText(depth, x + 18 + wide, y - 17);
+      g.fillText(depth, left + 4 + wide, top + 9);
     }
     g.textBaseline = "alphabetic";
   }
@@ -414,14 +438,15 @@ export class Scene {
   vehicleTip(i) {
     const { errors, states } = this.now.frame;
     const error = errors[i - 1];
-    return `vehicle ${i}: ${error == null ? "-" : `${error.toFixed(2)} m`} off its place${states[i] ? `, ${states[i]}` : ""}`;
+    const off = this.setup.moored ? "moored" : `${error == null ? "-" : `${error.toFixed(2)} m`} off its place`;
+    return `vehicle ${i}: ${off}${states[i] ? `, ${states[i]}` : ""}`;
   }
 
   linkTip(k) {
     const [src, dst] = this.setup.links[k];
-    const { links, ages } = this.now.frame;
+    const { links, ages, since } = this.now.frame;
     const [from, to] = [this.setup.names[src - 1], this.setup.names[dst - 1]];
-    return `link ${from} -> ${to}: ${LINKS[links[k]].says}; what ${to} knows of ${from} is ${ages[k].toFixed(1)} s old`;
+    return `link ${from} -> ${to}: ${LINKS[links[k]].says}; what ${to} knows of ${from} is ${old(ages[k], since)}`;
   }
 
   divide() {

@@ -5,7 +5,7 @@ import { make, number, write } from "./dom.js";
 const EVERY_MS = 250;
 const SORT_MS = 1000;
 const [NUMBER, ERROR, STATE] = [0, 1, 5];
-const HEADS = ["UUV", "off place", "speed", "depth", "oldest news", "state"];
+const HEADS = ["UUV", "position error", "speed", "depth", "oldest data", "state"];
 
 export class VehicleTable {
   constructor(setup, { onVehicle, onColumns, latest }) {
@@ -19,7 +19,7 @@ export class VehicleTable {
     this.rows = Array.from({ length: setup.vehicles }, (_, k) => this.row(k + 1));
     this.head = make("tr");
     this.body = make("tbody", {}, ...this.rows.map((row) => row.el));
-    const table = make("table", {}, make("thead", {}, this.head), this.body);
+    const table = make("table", { class: setup.moored ? "fleet-moored" : "" }, make("thead", {}, this.head), this.body);
     const add = make("input", {
       class: "fleet-signal", placeholder: "add a signal as a column ...", ariaLabel: "Signal to add as a column",
       onchange: () => {
@@ -94,9 +94,9 @@ export class VehicleTable {
     return { i, el: make("tr", {}, make("td", {}, name), ...cells), cells, more: [], values: [i] };
   }
 
-  // The oldest news that a vehicle has of a neighbour: its age, and of whom.
+  // The oldest data that a vehicle has of a neighbour: its age, and of whom.
   oldest(i, ages) {
-    const heard = (this.incoming.get(i) ?? []).map(([src, link]) => [ages[link], src]);
+    const heard = (this.incoming.get(i) ?? []).map(([src, link]) => [ages[link] ?? Infinity, src]);
     return heard.length ? heard.reduce((a, b) => (b[0] > a[0] ? b : a)) : [null, 0];
   }
 
@@ -116,7 +116,7 @@ export class VehicleTable {
       write(cells[0], number(error, 2, "m"));
       write(cells[1], number(place?.[6], 2, "m/s"));
       write(cells[2], number(place?.[3], 1, "m"));
-      write(cells[3], age == null ? "-" : `${age.toFixed(1)} s, of ${of}`);
+      write(cells[3], age == null ? "-" : `${age === Infinity ? `before ${frame.since.toFixed(1)} s` : `${age.toFixed(1)} s`}, of ${of}`);
       write(cells[4], state);
       row.signals = Object.fromEntries(this.columns.map((name) => [name, this.handlers.latest(name, i)]));
       row.more.forEach((cell, k) => write(cell, shown(row.signals[this.columns[k]])));

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import timedelta
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
 MOST_RUNS = 2000
 MOST_FAULTS = 4  # that a line names
+SEEDS = "seeds"  # what a search makes first
 
 
 @click.command()
@@ -121,6 +124,25 @@ def write_least(scenario: Scenario, path: Path) -> None:
 def pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
     """The current trial, and the number of runs made."""
     return [Piece(0, [f"{runs} runs"]), Piece(1, [doing])]
+
+
+def _seed_pieces(budget: tuple[float, float]) -> Callable[[StatusLine, str, int], list[Piece]]:
+    """What shows a search: how many of its seeds were tried, and how long the rest will take. `budget`: the most seeds,
+    and the most seconds; one of them is inf.
+    """
+    most, most_s = budget
+    begun = time.monotonic()
+
+    def shown(line: StatusLine, doing: str, runs: int) -> list[Piece]:
+        if doing != SEEDS:
+            return pieces(line, doing, runs)
+        took_s = time.monotonic() - begun
+        left_s = most_s - took_s if most == inf else took_s * (most - runs) / runs if runs else inf
+        left = "" if left_s == inf else f"at most {timedelta(seconds=round(max(0.0, left_s)))} left"
+        made = f"{runs} seeds" if most == inf else f"{runs} of {most:g} seeds"
+        return [Piece(0, [made]), Piece(2, [left, ""]), Piece(1, [f"{runs / took_s:.2g} seeds/s" if runs else "", ""])]
+
+    return shown
 
 
 def show_least(
@@ -225,7 +247,7 @@ def search(
     mode: NemesisMode = "liveness" if liveness else "episodes" if episodes else "swarm" if nemesis else None
     tried, modules = _tried(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
-    with how.showing(pieces) as tell, how.engine() as engine:
+    with how.showing(_seed_pieces(budget)) as tell, how.engine() as engine:
         try:
             hunt.run(engine, tell, engine.carry(modules), budget)
         except KeyboardInterrupt:
@@ -271,7 +293,7 @@ class _Hunt:
         from fleet.study.search import search
 
         most_runs, budget_s = budget
-        found = search(self._tried, engine, partial(tell, "seeds"), check=self._check, most_runs=most_runs,
+        found = search(self._tried, engine, partial(tell, SEEDS), check=self._check, most_runs=most_runs,
                        budget_s=budget_s, modules=modules, keep=self._folder)  # fmt: skip
         self.found = found
         if found.without:

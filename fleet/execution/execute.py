@@ -59,6 +59,7 @@ class ProgressLine:
         self._ticks = scenario.ticks
         self._end_s = scenario.ticks * self._tick_s
         self._nodes, self._endless = bool(scenario.nodes), not scenario.ends
+        self._moored = bool(scenario.spec.moored)
         self._began_s: float | None = None
         self._shown, self._still_until_s = (-1, ""), 0.0  # what the last plain line was about
 
@@ -94,8 +95,8 @@ class ProgressLine:
             Piece(0, [f"t = {at_s:.1f} / {self._end_s:g} s", f"{at_s:.1f}/{self._end_s:g} s"]),
             Piece(7, [bar(share), bar(share, BAR // 2), ""] if self._line.live else [""]),
             Piece(5, [f"{speed} real time", speed, ""] if speed else [""]),
-            Piece(2, [f"formation {errors[0]}", *errors, f"error {worst_m:.2f} m"]),
-            Piece(8, [f"median {median_m:.3f} m", ""] if of_fleet else [""]),
+            Piece(2, [""] if self._moored else [f"formation {errors[0]}", *errors, f"error {worst_m:.2f} m"]),
+            Piece(8, [f"median {median_m:.3f} m", ""] if of_fleet and not self._moored else [""]),
             Piece(6, [*self._packets(), ""]),
             Piece(1, self._faults()),
             Piece(4, self._events()),

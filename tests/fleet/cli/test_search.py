@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from functools import partial
+from math import inf
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +14,7 @@ from small_scenario import SMALL
 from study_engine import made_here
 from tool import invoke
 
+from fleet.cli.search import _seed_pieces
 from fleet.execution.stepped_run import run
 
 RANDOM = """\
@@ -122,3 +124,22 @@ def test_what_ctrl_c_leaves_is_said(
     monkeypatch.setattr(interrupted, interrupt)
     assert message in call("small.yaml", "--budget", "4", *asked).stderr
     assert not list(Path().glob("*-least.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("budget", "runs", "shown"),
+    [
+        ((200.0, inf), 0, ["0 of 200 seeds", "", ""]),
+        ((200.0, inf), 50, ["50 of 200 seeds", "at most 0:00:30 left", "5 seeds/s"]),
+        ((inf, 60.0), 50, ["50 seeds", "at most 0:00:50 left", "5 seeds/s"]),
+        ((inf, 5.0), 50, ["50 seeds", "at most 0:00:00 left", "5 seeds/s"]),
+    ],
+)
+def test_a_search_shows_how_far_it_is(
+    budget: tuple[float, float], runs: int, shown: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It showed neither a total nor the time that is left."""
+    now = iter([100.0, 110.0])
+    monkeypatch.setattr("fleet.cli.search.time.monotonic", lambda: next(now))
+    line = _seed_pieces(budget)
+    assert [piece.forms[0] for piece in line(None, "seeds", runs)] == shown  # type: ignore[arg-type]

@@ -51,12 +51,12 @@ def journal(**state: Any) -> Any:
 
 
 def line(
-    monkeypatch: pytest.MonkeyPatch, recorded: Any, *, width: int = 80, live: bool = True, waiting: str = ""
+    monkeypatch: pytest.MonkeyPatch, recorded: Any, *changes: str, width: int = 80, live: bool = True, waiting: str = ""
 ) -> str:
     """What is shown 4 s after the first call."""
     out = io.StringIO()
     status = StatusLine(Terminal(file=out, force_terminal=live, width=width), quiet=False, first_s=0.0)
-    show = ProgressLine(small("duration=180 s"), recorded, status, lambda: waiting)
+    show = ProgressLine(small("duration=180 s", *changes), recorded, status, lambda: waiting)
     monkeypatch.setattr(status, "due", lambda: False)
     monkeypatch.setattr(execute, "time", SimpleNamespace(monotonic=lambda: 100.0))
     show()
@@ -95,3 +95,9 @@ def test_there_is_no_speed_before_any_time_has_passed(monkeypatch: pytest.Monkey
     monkeypatch.setattr(execute, "time", SimpleNamespace(monotonic=lambda: 100.0))
     ProgressLine(small(), journal(), status, lambda: "")()
     assert "real time" not in out.getvalue() and "formation error" in out.getvalue()
+
+
+def test_moored_vehicles_have_no_formation_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = line(monkeypatch, journal(), "moored=true", "agent=fleet.protocols.average:NaiveAverage", width=120)
+    assert "60.0 / 180 s" in shown and "123456 delivered" in shown
+    assert "error" not in shown and "median" not in shown

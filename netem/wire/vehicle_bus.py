@@ -9,6 +9,7 @@ keys `nav` and `cmd` of zenoh in place of it.
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import socket
@@ -129,6 +130,8 @@ class Inbound:
                 i, key, end = known
                 try:
                     data = end.recv(MAX_BYTES, socket.MSG_DONTWAIT)
+                except BlockingIOError:
+                    continue
                 except OSError:
                     data = b""
                 if data:
@@ -138,8 +141,9 @@ class Inbound:
             elif descriptor == self._arrived:
                 for _ in range(os.eventfd_read(descriptor)):
                     ready.append(self._puts.get())
-            else:
+            elif descriptor == self._control.fileno():
                 self._take_ends()
+            # Else it is an end that a new one has replaced since this batch of events was read.
 
     def _take_ends(self) -> None:
         number, descriptors, _, _ = socket.recv_fds(self._control, _NUMBER_BYTES, 1)
@@ -172,5 +176,10 @@ def _send(end: socket.socket, data: bytes) -> None:
         raise BusError(f"a message of {len(data)} bytes on the bus of a vehicle: it carries {MAX_BYTES}")
     try:
         end.send(data)
-    except OSError:  # also of one that another thread has just closed
+    except OSError as error:  # also of one that another thread has just closed
+        if error.errno == errno.EMSGSIZE:
+            raise BusError(
+                f"a message of {len(data)} bytes is longer than the buffer of the bus of a vehicle: raise "
+                "net.core.wmem_max"
+            ) from None
         raise _Ended("the other end of the bus of a vehicle is closed") from None

@@ -243,7 +243,6 @@ def test_who_waits_for_room_is_told_of_the_end(ends: Ends, world: Inbound) -> No
 SMALL = 4096  # bytes of a buffer, as the system of a host may have set it
 
 
-@pytest.mark.xfail(strict=True, reason="a message that the buffer cannot hold is taken for the end of the other side")
 def test_an_agent_is_not_told_that_the_world_has_ended_when_its_buffer_is_too_small(ends: Ends) -> None:
     end = ends.new(3)
     OPEN.append(end)
@@ -253,7 +252,6 @@ def test_an_agent_is_not_told_that_the_world_has_ended_when_its_buffer_is_too_sm
     assert "closed" not in str(caught.value)
 
 
-@pytest.mark.xfail(strict=True, reason="a message that the buffer cannot hold is lost without a word")
 def test_the_world_does_not_lose_what_its_buffer_cannot_hold_without_a_word(ends: Ends, world: Inbound) -> None:
     three = agent(ends)
     three.put(b"hello")
@@ -282,7 +280,6 @@ def test_lives_follow_each_other_while_others_talk(ends: Ends, world: Inbound) -
         assert not world.put(3, b"nobody")
 
 
-@pytest.mark.xfail(strict=True, raises=BlockingIOError, reason="the world then waits for another end, perhaps for ever")
 def test_the_world_goes_on_when_a_life_ends_as_the_next_one_takes_its_place(ends: Ends, world: Inbound) -> None:
     """It learns of both at once, of the new end first; what is left of the old one is of no interest."""
     first = ends.new(3)

@@ -271,6 +271,11 @@ def test_tables_of_a_bag_without_some_topics(tmp_path: Path) -> None:
     assert "4 messages" in invoke("info", bag).stdout  # its recorder was killed
 
 
+# Lists within lists, whose text would have 2^40 letters.
+LAUGHS = ", ".join(["{a0: &a0 [x, x]", *(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 40))])
+LAUGHS += ", storage_identifier: *a39, relative_file_paths: [a.mcap]}"
+
+
 @pytest.mark.parametrize(
     ("told", "words"),
     [
@@ -280,6 +285,7 @@ def test_tables_of_a_bag_without_some_topics(tmp_path: Path) -> None:
         ("{storage_identifier: mcap, relative_file_paths: [1]}", "not that of a bag"),
         ("{storage_identifier: mcap, relative_file_paths: []}", "not that of a bag"),
         ("[", "not that of a bag"),
+        (LAUGHS, "not that of a bag"),
     ],
 )
 def test_bags_that_cannot_be_read(told: str, words: str, tmp_path: Path) -> None:

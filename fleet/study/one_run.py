@@ -109,14 +109,15 @@ def _made(task: Task) -> Row:
         if task.branch is not None:
             return run_branch(scenario, task.branch, check)
         in_time = check if isfinite(task.timeout_s) else None
-        if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
+        bare = task.bare and fits(scenario)
+        if bare and (verdicts := bare_verdicts(scenario, in_time)):
             return _by_verdicts(task, verdicts)
         if scenario.spec.triggers:
             scenario = fired_of(task)
         samples = Samples(scenario, task.signals)
         if task.log:
             return _measured(recorded(scenario, Path(task.log), check, samples), samples)
-        if task.bare:
+        if task.bare and not bare:
             result = judged(scenario, in_time, log=NoDigest())
             # A scenario that is to fail passes with checks that fail: a search finds these, and wants the digest.
             if result.status is Status.PASS and not any(verdict.failed for verdict in result.checks):

@@ -93,8 +93,10 @@ class Row(Struct, kw_only=True):
             got = f"failed {', '.join(again.failed_checks) or 'none'} when it was repeated"
         else:
             got = f"had no result when it was repeated: {again.reason}"
-        logs = "the same" if self.digest == again.digest else "different"
-        text = f"not reproduced: the run with seed {self.seed} failed {failed}, and {got}, with {logs} log"
+        logs = ""
+        if self.digest is not None and again.digest is not None:
+            logs = f", with {'the same' if self.digest == again.digest else 'another'} log"
+        text = f"not reproduced: the run with seed {self.seed} failed {failed}, and {got}{logs}"
         why = "One of the scenario's plug-ins depends on more than the seed, or this is a defect of uuv-fleet"
         return structs.replace(
             self, status=FAILED, reason=f"{text}. {why}", passed=None, checks={}, numbers={}, digest=None

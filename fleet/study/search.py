@@ -170,7 +170,7 @@ class _Search:
         while self.doubt is None and (known := self.waiting.get(self.next_seed)) is not None:
             if self._is_new(known):
                 self.doubt, again = self.next_seed, self.task(self.next_seed)
-                self._repeats.append(again._replace(key=run_key(f"{again.key}\nagain")))
+                self._repeats.append(again._replace(key=run_key(f"{again.key}\nagain"), bare=False))
                 break
             self._count(self.waiting.pop(self.next_seed))
             self.next_seed += 1

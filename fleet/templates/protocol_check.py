@@ -39,4 +39,4 @@ class TheLawCheck:
 
     def verdict(self) -> str | Failure | None:
         """The finding, for the verdict. It is also asked while the run goes on, so it must change nothing."""
-        return f"right after {self._slowest:.4g} s at the latest"
+        return f"agreement after at most {self._slowest:.4g} s"

@@ -36,7 +36,7 @@ NOT_SENT = "not sent"
 CORRUPTED = "corrupted"
 # Why a message did not arrive, in words.
 CAUSES: dict[str, str] = {
-    Cause.LOSS: "the link lost it",
+    Cause.LOSS: "lost on the link",
     Cause.DOWN: "the link was down",
     Cause.PARTITION: "the two sides were parted",
     Cause.MUTE: "the sender was mute",

@@ -342,7 +342,7 @@ def _gap(gap: Gap, why: Why) -> str:
     links = [link_name(link, why) for link in gap.links]
     span = f"at {gap.from_s:g} s" if gap.from_s == gap.to_s else f"from {gap.from_s:g} to {gap.to_s:g} s"
     each = f"{gap.messages} message{'s' if gap.messages > 1 else ''}"
-    on = ", and it went on" if gap.goes_on else ""
+    on = ", and still so" if gap.goes_on else ""
     return f"{_some(links, _MOST_LINKS)} {span}: {each}, {gap.words}{on}"
 
 
@@ -377,7 +377,7 @@ def _heard(heard: Heard, why: Why) -> str:
     name = why.nodes[heard.vehicle - 1] if why.nodes else str(heard.vehicle)
     if heard.sent_s is None:
         return f"nothing from {name}"
-    moved = "" if heard.moved_m is None else f", {heard.moved_m:.2g} m from there"
+    moved = "" if heard.moved_m is None else f", position {heard.moved_m:.2g} m off"
     return f"latest from {name}: sent at {heard.sent_s:g} s, {heard.age_s:.3g} s ago{moved}"
 
 

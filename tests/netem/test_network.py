@@ -285,7 +285,7 @@ def test_what_is_sent_while_it_lasts_is_held_until_its_end(begin: int, rounds: i
         came += [(d.due_tick, d.sent_tick) for d in netem.exchange(k, sent).inboxes[2]]
     held = list(range(10 * begin, end, m))
     free = [(k + 1, k) for k in range(0, 10 * begin, m)]
-    assert came == [*free, *((end, k) for k in (reversed(held) if reverse else held)), (end + 1, end)]
+    assert came == [*free, *((end + 1, k) for k in (reversed(held) if reverse else held)), (end + 1, end)]
 
 
 def test_a_fault_without_an_end_holds_for_good() -> None:
@@ -318,6 +318,26 @@ def test_what_is_held_comes_when_the_fault_is_healed(end: int | None) -> None:
             netem.faults = (NetFault("f", 0, 50, "hold", ((1, 2),)),)
         came += [d.sent_tick for d in netem.exchange(k, {1: (b"x",) if k < 50 else (), 2: (), 3: ()}).inboxes[2]]
     assert came == [0, 10, 20, 30, 40]
+
+
+@given(st.integers(1, 99), st.booleans(), st.booleans())
+def test_a_hold_that_is_healed_is_one_that_ends_then(end: int, reverse: bool, planned: bool) -> None:
+    """Also within a round: the record of a run has the end, and who heals it tells nobody before."""
+    values = (1.0,) if reverse else ()
+    link = Condition(delay_ns=TICK_NS, duplicate=0.3)
+    of = replace(config({(1, 2): link}), round_ticks=10)
+    ends = NetFault("f", 3, end, "hold", ((1, 2),), values=values)
+    later = NetFault("f", 3, 200 if planned else None, "hold", ((1, 2),), values=values)
+    outcomes = []
+    for before in (ends, later):
+        netem = Netem(replace(of, faults=(before,)))
+        found = []
+        for k in range(0, 150, 10):
+            if k >= end:
+                netem.faults = (ends,)
+            found.append(netem.exchange(k, {1: (b"x",), 2: (), 3: ()}))
+        outcomes.append((found, netem.close(150)))
+    assert outcomes[0] == outcomes[1]
 
 
 @pytest.mark.parametrize("reverse", [False, True])

@@ -73,6 +73,7 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
         for arguments in (
             ["link", "1<->2", "delay 60ms 20ms loss gemodel 10% 40%", "--for", "1500ms"],
             ["partition", "halves", "--id", "split"],
+            ["hold", "3->4", "--id", "kept"],
             ["mute", "3", "--for", "1s"],
             ["stuck", "1", "--for", "300ms"],
             ["noise", "vehicles=1,2", "position_noise=5 cm", "--id", "fog"],
@@ -86,6 +87,8 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
             answers.append(tool(out, "inject", *arguments))
         hand.step(rng.randrange(1, 40))
         healed = tool(out, "heal", "split")
+        hand.step(rng.randrange(1, 40))
+        released = tool(out, "heal", "kept")
         listed = tool(out, "status", "--all")
         # A step goes on in its own time, and the agent with it.
         wait_for(lambda: re.search(r"^4 +no agent ", tool(out, "status").stdout, re.MULTILINE), READY_S, "its death")
@@ -99,11 +102,12 @@ def test_every_live_action_is_a_script_line(tmp_path: Path) -> None:
         assert tool(out, "clock", "resume").exit_code == 0
         assert live.status(60.0) == 0, live.said
         log = live.log
-    assert [a.exit_code for a in answers] == [0] * 10, [a.stderr for a in answers]
+    assert [a.exit_code for a in answers] == [0] * 11, [a.stderr for a in answers]
     name = log.parent.name
     assert answers[0].stdout.startswith(f"{name}: live-1: link 1<->2: delay 60ms 20ms loss gemodel 10% 40%")
     assert healed.stdout.startswith(f"{name}: healed split at t = ")
-    names = {"live-1", "split", "live-2", "live-3", "fog", "live-4", "crash", "live-5", "live-6", "watch"}
+    assert released.stdout.startswith(f"{name}: healed kept at t = ")
+    names = {"live-1", "split", "kept", "live-2", "live-3", "fog", "live-4", "crash", "live-5", "live-6", "watch"}
     assert set(re.findall(r"^fault ([\w-]+): ", listed.stdout, re.MULTILINE)) == names
     assert reborn.stdout.startswith(f"{name}: healed crash at t = ")
     assert early.stdout.startswith(f"{name}: healed live-7 at t = ")

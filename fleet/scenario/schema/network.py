@@ -138,6 +138,7 @@ class NetworkSection(Section):
     ideal: bool = False
     period: v.Period = 100_000_000  # one round: every agent sends once per period
     links: dict[v.LinkSelector, Annotated[LinkSection, BeforeValidator(_link)]] = {}  # the last for a link wins
+    radios: dict[v.VehicleNumbers, v.LinkCondition] = {}  # rate and limit of all that a vehicle sends; the last wins
     acoustic: Annotated[
         AcousticSection | None, BeforeValidator(lambda value: {} if value is None else value), word_for("modem")
     ] = None  # in the water
@@ -162,6 +163,7 @@ def show_network(network: NetworkSection) -> Any:
     if network.ideal:
         return "ideal"
     links = {selector: show_link(link) for selector, link in network.links.items()}
+    radios = {numbers: print_condition(radio) for numbers, radio in network.radios.items()}
     shown: dict[str, Any] = {"period": show_time(network.period)}
     if network.acoustic is not None:
         modem = {"modem": network.acoustic.modem}
@@ -169,5 +171,6 @@ def show_network(network: NetworkSection) -> Any:
     return (
         shown
         | ({"links": links} if links else {})
+        | ({"radios": radios} if radios else {})
         | ({"payload": network.payload} if network.payload != "full" else {})
     )

@@ -137,3 +137,8 @@ def test_a_queue_that_a_long_delay_fills_is_doubted() -> None:
     ]  # fmt: skip
     for fits in ("delay 300ms", "delay 300ms rate 80kbit limit 10"):
         assert not re.findall("at most", "".join(warnings(scenario(network={"links": {"a->b": fits}}))))
+
+
+def test_the_name_of_a_preset_is_no_node() -> None:
+    nodes = {"lte": NODES["a"], "b": NODES["b"]}
+    assert scenario(nodes=nodes, network={"links": {"lte->b": {"preset": "lte-good"}}}).conditions[2, 1].rate_bit_s

@@ -42,7 +42,7 @@ class Selection(NamedTuple):
     keys: Sequence[str] = ()  # patterns; empty: all
     exclude: Sequence[str] = ()
     sequence: str | None = None  # field of JSON payloads, `header.seq`; None: payloads are not read
-    period_ns: int | None = None  # between two messages of a key without numbers
+    period_ns: int | None = None  # between two messages of a key without numbers; goes before those of an MCAP file
 
     def has(self, key: str) -> bool:
         """Whether the messages of a key are wanted."""
@@ -78,7 +78,9 @@ def write_field_traces(
     for name, arrivals in found.items():
         numbers = _numbers(arrivals, selection.period_ns)
         if numbers is None:
-            say(f"{name}: left out, because nothing tells what was lost: give --sequence FIELD or --period TIME")
+            without = sum(arrival.number is None for arrival in arrivals)
+            what = f"{without} of {len(arrivals)} messages have no number" if without else "all have the same number"
+            say(f"{name}: left out, because {what}: give --sequence FIELD or --period TIME")
             continue
         table = trace_of(arrivals, numbers, zero_ns)
         for line in (summary(table), *_doubts(arrivals, numbers)):
@@ -190,7 +192,8 @@ def _arrivals(path: Path, selection: Selection, say: Callable[[str], None], tell
             if kind == ATTACHMENT:
                 beside[topic] = sequence, data
                 continue
-            number, sent_ns, publisher = None if reader.profile == PROFILE else sequence, publish_ns, b""
+            counted = reader.profile != PROFILE and selection.period_ns is None
+            number, sent_ns, publisher = sequence if counted else None, publish_ns, b""
             if topic in beside and beside[topic][0] == sequence:
                 with suppress(ValueError):  # an attachment of another kind
                     number, sent_ns, publisher = rmw.unpack(beside[topic][1])
@@ -199,6 +202,8 @@ def _arrivals(path: Path, selection: Selection, say: Callable[[str], None], tell
             found.setdefault((topic, publisher), []).append(Arrival(number, sent_ns, log_ns))
     if reader.missing:
         say(f"{path}: {reader.missing}")
+    if reader.profile != PROFILE and selection.sequence is None and selection.period_ns is None:
+        say(f"{path}: its own sequence numbers are used: if its recorder counts arrivals there, no loss shows")
     topics = [topic for topic, _ in found]
     return {
         topic if topics.count(topic) == 1 else f"{topic} {publisher.hex()[:8]}": sorted(arrivals, key=lambda a: a.at_ns)

@@ -135,8 +135,9 @@ def test_a_period_shows_gaps_without_numbers(tmp_path: Path) -> None:
     (table,), (said,) = traces(path, Selection(period_ns=10**9))
     assert (flags(table), table.columns) == ("1110011", ("time", "delivered"))
     assert "no time of sending, so no delay" in said
-    with pytest.raises(FleetError, match="give --sequence FIELD or --period TIME"):
-        traces(path, Selection())
+    for nothing in (Selection(), COUNTED):
+        with pytest.raises(FleetError, match="give --sequence FIELD or --period TIME"):
+            traces(path, nothing)
 
 
 def test_a_sender_that_begins_anew_loses_nothing_by_it(tmp_path: Path) -> None:
@@ -155,8 +156,11 @@ def test_the_sequence_of_another_recorder_tells_gaps(tmp_path: Path) -> None:
         for n in (3, 4, 6):
             writer.message(channel, WALL_NS + n * 10**8 + 7, WALL_NS + n * 10**8, n, b"{}")
         writer.finish()
-    (table,), _ = traces(path, Selection())
+    (table,), said = traces(path, Selection())
     assert flags(table) == "1101"
+    assert "if its recorder counts arrivals there, no loss shows" in said[0]
+    (table,), _ = traces(path, Selection(period_ns=5 * 10**7))
+    assert flags(table) == "1010001"
 
 
 def test_clocks_that_disagree_are_told(tmp_path: Path) -> None:

@@ -31,3 +31,4 @@ class NetemConfig:
     acoustic: AcousticConfig | None = None  # in the water; None: links of their own
     changing: dict[Link, LinkStates | LinkTrace] = field(default_factory=dict)  # in place of a condition
     clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set
+    radios: dict[int, Condition] = field(default_factory=dict)  # rate and limit of all that a vehicle sends

@@ -34,6 +34,8 @@ class Links:
         self.receivers: dict[int, list[int]] = {i: [] for i in config.vehicles}
         for src, dst in sorted(config.links):
             self.receivers[src].append(dst)
+        # What a radio sends leaves it one after the other, to whomever. It draws nothing.
+        self.radios = {i: LinkModel(condition, config.seed, (i, 0)) for i, condition in config.radios.items()}
         self.next_seq: dict[Link, int] = dict.fromkeys(config.links, 0)
         self.ledger = Ledger(config.links)
 
@@ -43,13 +45,27 @@ class Links:
         self.next_seq[link] = seq + 1
         return seq
 
-    def enter(self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults) -> list[LinkOutcome]:
-        """The outcome of a packet that enters a link at a time, and a second outcome if the link duplicates it."""
+    def enter(
+        self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults, wait_ns: int = 0
+    ) -> list[LinkOutcome]:
+        """The outcome of a packet that enters a link at a time, and a second outcome if the link duplicates it.
+        `wait_ns`: how much later its radio has sent it; delays count from then.
+        """
         model, over = self.models[link], faults.conditions.get(link)
         if link in faults.up:
             condition = model.condition if over is None else over
             over = condition if condition.up else replace(condition, up=True)
-        return model.enter(at_ns, seq, payload, over)
+        return model.enter(at_ns + wait_ns, seq, payload, over)
+
+    def transmit(
+        self, radio: LinkModel, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults
+    ) -> list[LinkOutcome]:
+        """The outcomes of a packet that goes through the radio of its sender first."""
+        (sent,) = radio.enter(at_ns, seq, payload)
+        if sent.cause is not None:
+            return [sent]
+        outcomes = self.enter(at_ns, link, seq, payload, faults, sent.delay_ns)
+        return [o if o.cause is not None else o._replace(delay_ns=sent.delay_ns + o.delay_ns) for o in outcomes]
 
 
 class ChangingLinks(Links):
@@ -72,15 +88,17 @@ class ChangingLinks(Links):
                     shared[changing] = StateProcess(config.seed, changing, link)
                 self._processes[link] = shared[changing]
 
-    def enter(self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults) -> list[LinkOutcome]:
+    def enter(
+        self, at_ns: int, link: Link, seq: int, payload: bytes, faults: ActiveFaults, wait_ns: int = 0
+    ) -> list[LinkOutcome]:
         """The outcome of a packet, in the condition that the link has when the packet enters it."""
         process = self._processes.get(link)
         if process is None or link in faults.conditions:
-            return super().enter(at_ns, link, seq, payload, faults)
+            return super().enter(at_ns, link, seq, payload, faults, wait_ns)
         condition = process.condition(at_ns, seq)
         if link in faults.up and not condition.up:
             condition = replace(condition, up=True)
-        return self.models[link].enter(at_ns, seq, payload, condition)
+        return self.models[link].enter(at_ns + wait_ns, seq, payload, condition)
 
 
 def make_links(config: NetemConfig) -> Links:
@@ -141,7 +159,11 @@ class IndependentLinks:
             links.ledger.enter(link, sent=1)
             self._transit.lose(Fate(tick, src, dst, seq, 0, tick, tick, 0, cut, False, payload))
             return
-        outcomes = links.enter(tick * config.tick_ns, link, seq, payload, faults)
+        at_ns, radio = tick * config.tick_ns, links.radios.get(src)
+        if radio is None:
+            outcomes = links.enter(at_ns, link, seq, payload, faults)
+        else:
+            outcomes = links.transmit(radio, at_ns, link, seq, payload, faults)
         ours = len(outcomes)  # beside them is the copy that a fault adds
         if link in faults.again and outcomes[0].cause is None:
             later_ns = faults.again[link] * config.tick_ns

@@ -48,6 +48,7 @@ class _State(Struct, omit_defaults=True):
     ledger: list[tuple[int, int, dict[str, Any]]]
     ranges: list[tuple[tuple[int, int, int, int], MeasuredRange]] = []
     held: list[HeldPacket] = []
+    radios: list[tuple[int, list[Any]]] = []
 
 
 class Netem:
@@ -141,6 +142,7 @@ class Netem:
             [(*link, account.to_values()) for link, account in links.ledger.accounts.items()],
             sorted(transit.ranges.items(), key=itemgetter(0)),
             [held for link in sorted(transit.held) for held in transit.held[link]],
+            [(i, radio.state.to_values()) for i, radio in sorted(links.radios.items())],
         )
         values: dict[str, Any] = msgspec.to_builtins(state, builtin_types=(bytes,))
         return values | self._medium.state()
@@ -155,6 +157,8 @@ class Netem:
         for src, dst, condition, memory in state.links:
             link, restored = (src, dst), LinkMemory.from_values(memory)
             links.models[link] = LinkModel(condition_from_values(condition), self.config.seed, link, restored)
+        for i, memory in state.radios:
+            links.radios[i] = LinkModel(self.config.radios[i], self.config.seed, (i, 0), LinkMemory.from_values(memory))
         for src, dst, account in state.ledger:
             links.ledger.restore((src, dst), account)
         transit.pending = {i: [] for i in self.config.vehicles}

@@ -183,7 +183,7 @@ def _statistics(
     return likelihood, began / began.sum(), posterior, pairs
 
 
-NAMES = {2: ("good", "bad"), 3: ("good", "fair", "bad")}
+NAMES = {1: ("always",), 2: ("good", "bad"), 3: ("good", "fair", "bad")}
 LEAST_PACKETS = 20
 _MOST_DAYS_NS = 30 * 86_400 * 10**9  # a mean beyond it says that the trace never left the state
 _MIXED = 0.01  # below this eigenvalue of A a state is over before the next packet
@@ -206,8 +206,10 @@ class LinkFit:
     conditions: tuple[Condition, ...]
     lag: float  # by how much a move in one interval differs from the model's where no chain in time fits; 0: it does
 
-    def section(self) -> dict[str, Any]:
-        """The entry of `network.links`, in plain values."""
+    def section(self) -> Any:
+        """The entry of `network.links`, in plain values; of one state, its condition alone."""
+        if len(self.names) == 1:
+            return print_condition(self.conditions[0])
         states: dict[str, Any] = {}
         for name, mean, follows, condition in zip(
             self.names, self.mean_ns, self.following, self.conditions, strict=True
@@ -226,15 +228,18 @@ def runs(flags: Array) -> Array:
 
 def fit(table: TraceTable, count: int, interval_ns: int | None = None) -> LinkFit:
     """Fit states to what a trace says was delivered; delays and rates are means over the packets of each state.
-    `count`: of states, 2 or 3. `interval_ns`: between two packets; None: the median of those in the trace. Raises
-    FleetError if the trace does not say what was delivered, or when; it is too short, or its losses come alone.
+    `count`: of states, 1 (one condition) to 3. `interval_ns`: between two packets; None: the median of those in the
+    trace. Raises FleetError if the trace does not say what was delivered, or when; it is too short, or its losses come
+    alone.
     """
     if "delivered" not in table.columns:
         raise FleetError(f"no such column: delivered, which a fit needs; the trace has {', '.join(table.columns)}")
     lost = np.array([not row.delivered for row in table.rows], np.float64)
-    if len(lost) < LEAST_PACKETS or len(set(lost.tolist())) < 2:
+    if len(lost) < LEAST_PACKETS or lost.all() or (count > 1 and not lost.any()):
         what = f"{len(lost)} packets, of which {int(lost.sum())} were lost"
-        raise FleetError(f"expected at least {LEAST_PACKETS} packets, some lost and some not; got {what}")
+        expected = "some lost and some not" if count > 1 else "some of them not lost"
+        hint = "; --states 1 takes a trace without losses" if count > 1 and not lost.any() else ""
+        raise FleetError(f"expected at least {LEAST_PACKETS} packets, {expected}; got {what}{hint}")
     interval, uneven = (interval_ns, False) if interval_ns is not None else _interval(table)
     model, independent = fit_losses(lost, count), fit_losses(lost, 1)
     generator, lag = _generator(model)
@@ -270,10 +275,10 @@ def _generator(model: HiddenMarkov) -> tuple[Array, float]:
     values, vectors = np.linalg.eig(model.moves)
     if min(value.real for value in values) < _MIXED:
         share = 100.0 * float(model.stationary() @ model.lost)
-        hint = "with fewer states, or " if model.states > 2 else ""
         raise FleetError(
             f"the losses do not come in bursts that {model.states} states explain: a state ends before the next "
-            f"packet; try {hint}the condition loss {share:.3g}%"
+            f"packet; try {'fewer states, or ' if model.states > 2 else ''}--states 1, one condition with loss "
+            f"{share:.3g}%"
         )
     raw = ((vectors * np.log(values.astype(complex))) @ np.linalg.inv(vectors)).real
     rates: Array = np.maximum(raw * (1.0 - np.eye(model.states)), 0.0)

@@ -11,14 +11,14 @@ from agents.config import Law
 from agents.plugins.laws import load
 from fleet.analysis.link_shares import short_traces
 from fleet.analysis.stability import oldest_s, slot_warnings
-from fleet.quantities import vehicle_names, vehicle_numbers
+from fleet.quantities import show_time, vehicle_names, vehicle_numbers
 from fleet.recorder.settling import least_s
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.schema.control import KeepApartSection
 from fleet.scenario.sections.clocks import clock_sections
 from fleet.scenario.sections.timeline import OF_THE_NETWORK
-from netem.condition import Link, effective
+from netem.condition import DEFAULT_LIMIT, Link, effective
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from world.errors import PluginError
@@ -169,12 +169,13 @@ def _obstacle_too_near(when: str, places: Sequence[Vec3], section: KeepApartSect
 LARGE_MB = 50.0  # from which on a warning about the size is given
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
 THIN = "log: {every: 10 ticks}"
+_MANY = 100  # packets per second
 BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow", "clock"}  # faults that act at round ticks only
 
 
 def warnings(scenario: Scenario) -> list[str]:
     """One sentence for each setting that is valid and hardly intended."""
-    found = [*check_warnings(scenario), *_idle_faults(scenario), *_correlated(scenario)]
+    found = [*check_warnings(scenario), *_idle_faults(scenario), *_correlated(scenario), *_short_queues(scenario)]
     found += [*forgetting_warnings(scenario), *keep_apart_warnings(scenario)]
     found += [*short_traces(scenario), *slot_warnings(scenario)]
     if hint := large_log_hint(log_mb(scenario)):
@@ -283,6 +284,29 @@ def _idle_faults(scenario: Scenario) -> Iterator[str]:
                 f"fault {name} does nothing: agents talk at round ticks, every {m * tick_s:g} s, and no round tick "
                 f"lies between {begin * tick_s:g} and {end * tick_s:g} s. Let the fault last for a round at least"
             )
+
+
+def _short_queues(scenario: Scenario) -> Iterator[str]:
+    """Queues that lose packets without a rate: as in the kernel, a packet stays in the queue until its delay is over.
+
+    Vehicles send once a round. How often nodes send is unknown: a limit that is given, or fewer packets per second
+    than _MANY, counts as short.
+    """
+    sent = _MANY if scenario.nodes else 1e9 / (scenario.round_ticks * scenario.tick_ns)
+    short: dict[tuple[int, int], list[Link]] = {}  # by limit and delay
+    for link, conditions in scenario.possible.items():
+        queues = [(c.limit, c.delay_ns) for c in conditions if c.delay_ns and not c.rate_bit_s and c.up]
+        limit, delay_ns = min(queues, key=lambda queue: queue[0] / queue[1], default=(0, 0))
+        given = scenario.nodes and limit != DEFAULT_LIMIT
+        if delay_ns and (given or limit * 1e9 / delay_ns < sent):
+            short.setdefault((limit, delay_ns), []).append(link)
+    for (limit, delay_ns), links in short.items():
+        more = f" and {len(links) - 1} more" if len(links) > 1 else ""
+        yield (
+            f"link {scenario.link_name(links[0])}{more}: at most {limit * 1e9 / delay_ns:.4g} packets per second pass, "
+            f"and more are lost with cause queue: as in the kernel, a packet takes one of the {limit} places of the "
+            f"queue for the delay of {show_time(delay_ns)}. Give a larger limit, or a rate if a slow line is meant"
+        )
 
 
 def _correlated(scenario: Scenario) -> Iterator[str]:

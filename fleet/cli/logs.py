@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -137,8 +137,10 @@ def _print(paths: Sequence[Path]) -> None:
 @click.option("--parquet", type=FOLDER, help="Write Parquet here; needs uuv-fleet[parquet].")
 @click.option("--netcdf", type=FOLDER, help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].")
 @click.option("--traces", type=FOLDER,
-              help="Write the fate of each packet here: a CSV file per directed link, which network.links can "
-                   "read.")  # fmt: skip
+              help="Write the fate of each packet here: a CSV file per directed link, or per key of a recording, which "
+                   "network.links can read.")  # fmt: skip
+@click.option("--sequence", metavar="FIELD", help="Traces of a recording: the field of JSON payloads that counts them.")
+@click.option("--period", type=TIME, help="Traces of a recording: time between two messages of a key without numbers.")
 @click.option("--ros2", type=FOLDER, help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].")
 @click.option("--scenario", is_flag=True,
               help="Print the scenario that runs LOG again, with all that was injected while it was made.")  # fmt: skip
@@ -152,6 +154,8 @@ def export(
     parquet: Path | None,
     netcdf: Path | None,
     traces: Path | None,
+    sequence: str | None,
+    period: int | None,
     ros2: Path | None,
     scenario: bool,
     topics: tuple[str, ...],
@@ -171,6 +175,7 @@ def export(
       fleet export --parquet errors --topics 'uuv/*/error' --topics 'link/*'
       fleet export --netcdf states --topics 'uuv/*/state'
       fleet export runs/latest --traces links
+      fleet export tuesday.mcap --traces links --sequence seq
       fleet export runs/latest --ros2 bag
       fleet export studies/rough-sea-20261122-101500 --csv tables
       fleet export --scenario > again.yaml && fleet run again.yaml
@@ -194,12 +199,16 @@ def export(
         for form, folder in tables:
             click.echo(export_study(log, folder, form, force=force))
         return
-    if (topics or exclude) and not tables:
-        raise click.UsageError("--topics and --exclude choose tables, and --traces and --ros2 write none")
+    if (topics or exclude) and not tables and traces is None:
+        raise click.UsageError("--topics and --exclude choose tables and traces, and --ros2 writes none")
+    if (sequence is not None or period is not None) and traces is None:
+        raise click.UsageError("--sequence and --period are for --traces")
+    if period == 0:
+        raise click.BadParameter("must be above 0", param_hint="--period")
     if len(set(folders)) < len(folders):
         raise click.UsageError("each form needs a folder of its own: export.json says what is in one")
     if traces is not None:
-        _export_traces(log, traces, force=force)
+        _export_traces(log, traces, (topics, exclude, sequence, period), force=force)
     if ros2 is not None:
         _export_bag(log, ros2)
     if not tables:
@@ -240,15 +249,26 @@ def _export_bag(log: Path, folder: Path) -> None:
         click.echo(path)
 
 
-def _export_traces(log: Path, folder: Path, *, force: bool) -> None:
+def _export_traces(log: Path, folder: Path, selected: tuple[Any, ...], *, force: bool) -> None:
     from fleet.logs.export import write_traces
     from fleet.logs.open_log import open_log
+    from fleet.stack.field_traces import Selection, write_field_traces
+
+    def tell_user(text: str) -> None:
+        say(f"fleet: {text}", err=True)
 
     with showing(f"reading {log}") as tell:
         found = open_log(log, ["link/*"], share=tell)
-    if found.missing:
-        say(f"fleet: {found.path}: {found.missing}", err=True)
-    for path in write_traces(found, folder, force=force, say=lambda text: say(f"fleet: {text}", err=True)):
+    if not found.run:
+        with showing(f"reading {log}") as tell:
+            paths = write_field_traces(log, folder, Selection(*selected), force=force, say=tell_user, tell=tell)
+    elif any(selected):
+        raise click.UsageError(f"{log} is the log of a run: its traces are those of all links, and take no options")
+    else:
+        if found.missing:
+            tell_user(f"{found.path}: {found.missing}")
+        paths = write_traces(found, folder, force=force, say=tell_user)
+    for path in paths:
         click.echo(path)
 
 
@@ -376,7 +396,8 @@ def movie(
 
 @click.command()
 @click.argument("trace", type=FILE)
-@click.option("--states", type=click.Choice(("2", "3")), default="2", show_default=True, help="How many states.")
+@click.option("--states", type=click.Choice(("1", "2", "3")), default="2", show_default=True,
+              help="How many states; 1 is one condition, for losses that come alone.")  # fmt: skip
 @click.option("--interval", type=TIME, help="Between two packets; by default the median in the trace.")
 @click.option("--picture", type=FILE,
               help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).")  # fmt: skip
@@ -401,6 +422,8 @@ def fit(trace: Path, states: str, interval: int | None, picture: Path | None) ->
         raise click.BadParameter(f"expected a file that ends in .csv, got {trace}", param_hint="TRACE")
     if interval == 0:
         raise click.BadParameter("must be above 0", param_hint="--interval")
+    if picture is not None and states == "1":
+        raise click.UsageError("--picture compares bursts of losses: give --states 2 or 3")
     with showing_steps(f"{states} states"):
         try:
             found = fitted(read_trace(trace), int(states), interval)
@@ -419,15 +442,15 @@ def fit_lines(found: LinkFit, trace: Path) -> list[str]:
     from fleet.analysis.link_fit import runs
 
     model, alone = found.model, found.independent
-    measured, (_, expected) = runs(found.lost).mean(), model.bursts(1)
     every, share = found.interval_ns / 1e9, found.lost.mean()
-    lines = [
-        f"{trace}: {len(found.lost)} packets, one every {every:g} s, {100 * share:.3g} % lost",
-        f"log-likelihood {model.log_likelihood:.2f} with {model.states} states (BIC {model.bic:.1f}), "
-        f"{alone.log_likelihood:.2f} with independent losses (BIC {alone.bic:.1f}); the lower BIC is the better",
-        f"mean burst of losses: {measured:.3g} packets in the trace, {expected:.3g} of the fit, "
-        f"{1 / (1 - share):.3g} of independent losses",
-    ]
+    lines = [f"{trace}: {len(found.lost)} packets, one every {every:g} s, {100 * share:.3g} % lost"]
+    if model.states > 1:
+        lines += [
+            f"log-likelihood {model.log_likelihood:.2f} with {model.states} states (BIC {model.bic:.1f}), "
+            f"{alone.log_likelihood:.2f} with independent losses (BIC {alone.bic:.1f}); the lower BIC is the better",
+            f"mean burst of losses: {runs(found.lost).mean():.3g} packets in the trace, {model.bursts(1)[1]:.3g} of "
+            f"the fit, {1 / (1 - share):.3g} of independent losses",
+        ]
     for k, name in enumerate(found.names):
         c = found.conditions[k]
         delay = f", delay {c.delay_ns / 1e6:.4g} ms, sd {c.jitter_ns / 1e6:.3g} ms" if c.delay_ns else ""

@@ -65,6 +65,13 @@ def write_traces(
             texts[name] = table.text()
             links[f"{src}->{dst}"] = {"trace": name, "by": "packet"}
     texts[LINKS] = yaml_text({"links": links})
+    return write_files(folder, texts, force=force)
+
+
+def write_files(folder: Path, texts: Mapping[str, str], *, force: bool) -> list[Path]:
+    """Write texts into a folder, made if need be, and return the files. Raises FleetError if a file is in the way and
+    not to be replaced (`force`), or the place cannot be written.
+    """
     if (there := [name for name in texts if (folder / name).exists()]) and not force:
         raise FleetError(f"{folder} already holds {there[0]}; choose another place, or replace it with --force")
     try:

@@ -108,6 +108,12 @@ class Parts:
         given = {link: self.spec.network.links[selector].condition for link, selector in self.written.items()}
         return {link: c for link, c in given.items() if c is not None and c != Condition()}
 
+    @property
+    def radios(self) -> dict[int, Condition]:
+        """The radio of each vehicle that has one: a rate, and a limit of its queue."""
+        given = self.spec.network.radios.items()
+        return {i: radio for numbers, radio in given for i in vehicle_numbers(numbers)}
+
     @cached_property
     def written(self) -> dict[Link, str]:
         """The last selector that names each link, in the order of the links; links that none names are left out."""

@@ -67,6 +67,7 @@ class Scenario:
         self.graph, self.b = parts.graph, parts.graph.b
         self.initial = parts.initial  # (eta0, nu0) of each vehicle
         self.conditions = parts.conditions  # of every link that is not perfect at the start
+        self.radios = parts.radios  # rate and limit of all that a vehicle sends
         self.changing = parts.changing  # what the others do whose condition changes by itself
         self.selectors = parts.written  # the last entry of network.links that names each link
         self.controls = parts.controls  # what each vehicle is and runs
@@ -255,6 +256,7 @@ class Scenario:
             ideal=self.ideal,
             acoustic=self.acoustic,
             clocks=dict(self.clocks),
+            radios=dict(self.radios),
         )
 
     def to_yaml(self) -> str:

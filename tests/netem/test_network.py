@@ -130,14 +130,65 @@ def test_a_link_never_shifts_the_draws_of_another(per_link: dict[Link, Given], c
     assert others(per_link, tuple(link for link in ALL_LINKS if link != (1, 2))) == before
 
 
-@given(per_link, rounds_of_traffic, st.integers(0, 12))
-def test_state_and_restore_continue_as_if_uninterrupted(per_link: dict[Link, Given], traffic: list, cut: int) -> None:
-    cut = min(cut, len(traffic))
-    whole = Netem(config(per_link))
+radios = st.builds(
+    Condition,
+    rate_bit_s=st.sampled_from([100, 8_000, 10**6]),
+    rate_overhead=st.integers(0, 8),
+    limit=st.sampled_from([1, 5, 1000]),
+)
+per_radio = st.dictionaries(st.sampled_from([1, 2, 3]), radios)
+
+
+@given(per_radio, rounds_of_traffic)
+def test_a_radio_sends_one_packet_after_the_other_on_all_its_links(per_radio: dict, traffic: list) -> None:
+    """By the equation of a single server: a packet leaves its size over the rate after it came, or after the one
+    before has left, to whichever neighbour. Beyond the limit it is lost."""
+    netem = Netem(replace(config({}), radios=per_radio))
+    found = {(f.src, f.dst, f.seq): (f.cause, f.delay_ns) for f in [*play(netem, traffic), *netem.close(10**6)]}
+    expected: dict[tuple[int, int, int], tuple[object, int]] = {}
+    for i in (1, 2, 3):
+        leave, numbers = list[int](), dict.fromkeys((1, 2, 3), 0)
+        for number, sent in enumerate(traffic):
+            now = 10 * number * TICK_NS
+            for payload in sent.get(i, ()):
+                for dst in sorted({1, 2, 3} - {i}):
+                    cause, delay_ns, radio = None, 0, per_radio.get(i)
+                    if radio is not None and sum(at > now for at in leave) >= radio.limit:
+                        cause = Cause.QUEUE
+                    elif radio is not None:
+                        takes = -(-(len(payload) + radio.rate_overhead) * 8 * 10**9 // radio.rate_bit_s)
+                        leave.append(max([now, *leave]) + takes)
+                        delay_ns = leave[-1] - now
+                    expected[i, dst, numbers[dst]] = cause, delay_ns
+                    numbers[dst] += 1
+    arrived = (Cause.DELIVERED, Cause.IN_FLIGHT)
+    assert {key: (None if cause in arrived else cause, delay) for key, (cause, delay) in found.items()} == expected
+
+
+@given(per_link, per_radio.map(lambda given: {i: replace(radio, limit=10**6) for i, radio in given.items()}))
+def test_a_radio_shifts_no_draw(per_link: dict[Link, Given], per_radio: dict) -> None:
+    """Of links whose condition draws alone decides: a packet that a link loses is the same one with any radio."""
+    still = {link: what for link, what in per_link.items() if isinstance(what, Condition)}
+    still = {link: replace(c, rate_bit_s=0, limit=10**6, reorder=0.0) for link, c in still.items()}
+
+    def lost(radios: dict) -> set:
+        netem = Netem(replace(config(still), radios=radios))
+        fates = [*play(netem, [{1: (b"abc", b"d"), 2: (b"ef",), 3: (b"g",)}] * 4), *netem.close(10**6)]
+        return {(f.src, f.dst, f.seq, f.copy, f.corrupted) for f in fates if f.cause == Cause.LOSS or f.corrupted}
+
+    assert lost(per_radio) == lost({})
+
+
+@given(per_link, per_radio, rounds_of_traffic, st.integers(0, 12))
+def test_state_and_restore_continue_as_if_uninterrupted(
+    per_link: dict[Link, Given], per_radio: dict, traffic: list, cut: int
+) -> None:
+    cut, of = min(cut, len(traffic)), replace(config(per_link), radios=per_radio)
+    whole = Netem(of)
     expected = [*play(whole, traffic), *whole.close(10 * len(traffic))]
-    first = Netem(config(per_link))
+    first = Netem(of)
     fates = play(first, traffic[:cut])
-    second = Netem(config(per_link))
+    second = Netem(of)
     second.restore(msgpack.unpackb(msgpack.packb(first.state())))
     fates += [*play(second, traffic[cut:], cut), *second.close(10 * len(traffic))]
     assert fates == expected

@@ -113,6 +113,16 @@ def test_without_a_delay_it_leaves_at_once_and_only_to_neighbours() -> None:
     assert [one.dst for one in handed(relay, 4.0)] == [2]
 
 
+def test_two_hearers_share_the_radio_of_a_sender() -> None:
+    """1000 bytes at 80 kbit/s take 100 ms to each, and the second waits for the first."""
+    radio = Condition(rate_bit_s=80_000)
+    relay = Relay(replace(config(Condition(delay_ns=5_000_000)), radios={2: radio}), BEGIN_NS)
+    relay.take(message(2, bytes(1000)))
+    relay.take(message(1, bytes(1000)))
+    due = [((one.due_ns - BEGIN_NS) / 1e6, one.message.src, one.dst) for one in handed(relay, 1e4)]
+    assert due == [(5.0, 1, 2), (105.0, 2, 1), (205.0, 2, 3)]
+
+
 def test_a_reply_goes_to_who_asked_and_nowhere_without_a_link() -> None:
     relay = Relay(config(), BEGIN_NS)
     relay.take(message(2, b"x", 1.0, to=3))

@@ -49,6 +49,8 @@ CHANGING = (
     "loop: true, offset: random}}"
 )
 
+RADIO = "network.radios={'1': rate 12kbit limit 3, '2,3': rate 20kbit}"
+
 CLOCKS = "agent.clock={drift: {sigma: 2000 ppm}, offset: {mean: 5 ms, sigma: 30 ms}}"
 CLOCK_FAULTS = (
     "faults=[{at: 1 s, for: 1 s, clock: {vehicles: 2, step: -200 ms, drift: 1e4 ppm}}, {at: 1.5 s, clock: {step: 1 s}}]"
@@ -75,9 +77,9 @@ class Row(NamedTuple):
 # Each row adds something: nothing; loss, jitter and the disturbance; draws in the world process; frames that are not
 # sent every tick, and an end tick between two of them; a last round that is cut; the tightest coupling there is;
 # estimates in place of the truth; a graph in which vehicles hear more than one other, and numbers of two digits; links
-# that change by themselves; a QP at every tick; clocks that are drawn, drift, and are set, of agents, modems and
-# protocols; vehicles that do not move, packets that are held or come twice, and a fault that an agent's report begins;
-# agents that are ended, suspended, slowed and started again; the same in water, with ranges.
+# that change by themselves, behind a radio; a QP at every tick; clocks that are drawn, drift, and are set, of agents,
+# modems and protocols; vehicles that do not move, packets that are held or come twice, and a fault that an agent's
+# report begins; agents that are ended, suspended, slowed and started again; the same in water, with ranges.
 ROWS = {
     "paper": Row("paper", ("duration=4 s",), "verified"),
     "rough-sea": Row("rough-sea", ("duration=6 s",), "again distributed exact"),
@@ -85,7 +87,7 @@ ROWS = {
     "thinned log": Row("rough-sea", ("duration=3 s", "log.every=7 ticks", "log.pose=21 ticks"), "verified paced"),
     "short last round": Row("paper", ("duration=3.07 s", ROUGH), ""),
     "a round per tick": Row("paper", ("duration=2 s", "network.period=10 ms", ROUGH), "hosted"),
-    "states and a trace": Row("paper", ("duration=3 s", CHANGING), ""),
+    "states and a trace": Row("paper", ("duration=3 s", CHANGING, RADIO), ""),
     "kept apart": Row("crossing", ("duration=3 s", "keep_apart.distance=25 m"), "distributed"),
     "dead reckoning": Row("dead-reckoning", ("duration=3 s", INSTRUMENTS, "log.every=3 ticks"), "distributed"),
     "clocks": Row("rough-sea", ("duration=3 s", CLOCKS, CLOCK_FAULTS), ""),

@@ -98,6 +98,7 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     motion.knowledge,
     network.links,
     network.link_conditions,
+    network.radios,
     network.acoustic,
     network.talking,
     nodes.nodes,

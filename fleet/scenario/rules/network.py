@@ -21,8 +21,9 @@ from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.graph import reached
 from fleet.scenario.sections.modem_files import load_site, modem_of, modem_problems
 from fleet.scenario.sections.trace_table import TraceTable
+from netem.condition import Condition
 from netem.errors import TextError
-from netem.grammar import parse_selector
+from netem.grammar import parse_selector, print_condition
 from netem.modem import Modem
 from netem.parsing import nearest
 
@@ -158,6 +159,20 @@ def links(parts: Parts, report: Report) -> None:
         there = (selector.src, selector.dst) in known
         if not there and not (selector.both and (selector.dst, selector.src) in known):
             report.add(path, "the graph has no such link", known_links(links), key=True)
+
+
+def radios(parts: Parts, report: Report) -> None:
+    """A radio has a rate and a limit, and nothing that a link has; modems are radios of their own."""
+    network = parts.spec.network
+    for text, radio in network.radios.items():
+        path = ("network", "radios", text)
+        vehicles_exist(parts.spec, report, path, text, key=True)
+        bare = Condition(rate_bit_s=radio.rate_bit_s, rate_overhead=radio.rate_overhead, limit=radio.limit)
+        if not radio.rate_bit_s or radio != bare:
+            hint = "write 1: rate 80kbit; delay, loss and the rest belong to links"
+            report.add(path, f'expected a rate and, if need be, a limit, got "{print_condition(radio)}"', hint)
+    if network.radios and network.acoustic is not None:
+        report.add(("network", "radios"), "has no effect in water, where modems have a bit_rate", key=True)
 
 
 def acoustic(parts: Parts, report: Report) -> None:

@@ -12,7 +12,9 @@ from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.value_types import Section, mistake, read_condition, word_for
 from netem.condition import Condition
 from netem.grammar import print_condition
+from netem.link_presets import link_presets
 from netem.modem import Method
+from netem.parsing import nearest, quoted
 
 
 class WaterSection(Section):
@@ -107,6 +109,7 @@ class LinkSection(Section):
     """The effect of some links on packets: one condition, states that change by themselves, or measured rows."""
 
     condition: v.LinkCondition | None = None
+    preset: str | None = None  # a condition that ships, by its name; the merged scenario has its words
     states: dict[v.StateName, LinkStateSection] | None = None
     together: bool | None = None  # states: the links of this selector change at the same times
     trace: str | None = None  # CSV; a text of several lines is the CSV itself
@@ -118,8 +121,23 @@ class LinkSection(Section):
     lost_below: v.Level | None = None  # of a trace with snr: at or below it a packet is lost
 
 
+def _preset(value: dict[str, Any]) -> Condition:
+    """The condition of links with a preset."""
+    name, presets = str(value["preset"]), link_presets()
+    if name not in presets:
+        raise mistake(
+            f"there is no preset {quoted(name)}; there are {', '.join(presets)}", 0, nearest(name, presets) or ""
+        )
+    if others := [key for key in value if key != "preset"]:
+        hint = f"write its words in place of it, and change them: {presets[name].condition}"
+        raise mistake(f"a preset is a whole condition, and {others[0]} has no place beside it", 0, hint)
+    return presets[name].parsed()
+
+
 def _link(value: Any) -> Any:
     """Links with one condition are given by its words alone, which keep their column in errors."""
+    if isinstance(value, dict) and "preset" in value:
+        return LinkSection.model_construct(condition=_preset(value))
     if isinstance(value, (dict, LinkSection)):
         return value
     return LinkSection.model_construct(condition=read_condition(value))
@@ -138,6 +156,7 @@ class NetworkSection(Section):
     ideal: bool = False
     period: v.Period = 100_000_000  # one round: every agent sends once per period
     links: dict[v.LinkSelector, Annotated[LinkSection, BeforeValidator(_link)]] = {}  # the last for a link wins
+    radios: dict[v.VehicleNumbers, v.LinkCondition] = {}  # rate and limit of all that a vehicle sends; the last wins
     acoustic: Annotated[
         AcousticSection | None, BeforeValidator(lambda value: {} if value is None else value), word_for("modem")
     ] = None  # in the water
@@ -162,6 +181,7 @@ def show_network(network: NetworkSection) -> Any:
     if network.ideal:
         return "ideal"
     links = {selector: show_link(link) for selector, link in network.links.items()}
+    radios = {numbers: print_condition(radio) for numbers, radio in network.radios.items()}
     shown: dict[str, Any] = {"period": show_time(network.period)}
     if network.acoustic is not None:
         modem = {"modem": network.acoustic.modem}
@@ -169,5 +189,6 @@ def show_network(network: NetworkSection) -> Any:
     return (
         shown
         | ({"links": links} if links else {})
+        | ({"radios": radios} if radios else {})
         | ({"payload": network.payload} if network.payload != "full" else {})
     )

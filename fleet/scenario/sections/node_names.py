@@ -8,7 +8,18 @@ from typing import Any
 
 from fleet.scenario.schema.nodes import RESERVED
 
-FREE = ("id", "name", "modem", "site", "trace", "topic", "mode", "aims", "pick")  # keys whose values are no selectors
+FREE = (
+    "id",
+    "name",
+    "modem",
+    "site",
+    "preset",
+    "trace",
+    "topic",
+    "mode",
+    "aims",
+    "pick",
+)  # keys whose values are no selectors
 _WORD = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _NUMBERS = re.compile(r"(isolate:\s*)?[\d\s,/<>*-]+", re.ASCII)
 _SELECTOR = re.compile(r"[\w\s,/<>*:-]+", re.ASCII)

@@ -32,6 +32,7 @@ from fleet.scenario.text.fault_words import FaultWordsError, fault_entry, link_e
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
 from netem.errors import TextError
 from netem.grammar import WORDS, parse_selector, with_word
+from netem.link_presets import link_presets
 
 # --- scaling
 # A scenario for another number of vehicles than it was written for: what `--set vehicles=N` does to the tree.
@@ -316,12 +317,21 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
     name = same or selector
     path: tuple[str, ...] = ("network", "links", name)
     before = links.entries.get(name)
+    if isinstance(before, Mapping) and (preset := _preset(before)) is not None:
+        before = preset
     if match["state"] is not None or isinstance(before, Mapping):
         before, path = _of_state(match, name, before, place), (*path, "states", match["state"], "condition")
     text = "" if before is None else plain(before)
     if not isinstance(text, str):  # reported when it is read
         return root
     return _placed(root, path, start if len(path) == 3 else place, _with_word(source, match, text))
+
+
+def _preset(links: Mapping) -> Scalar | None:
+    """The condition of links with a preset as its words; None: they have none, or an unknown one."""
+    named = links.entries.get("preset")
+    preset = link_presets().get(str(named.value)) if isinstance(named, Scalar) else None
+    return None if preset is None else Scalar(preset.condition, links.place)
 
 
 def _with_word(source: Source, match: re.Match[str], text: str) -> Scalar:

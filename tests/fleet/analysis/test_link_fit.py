@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from small_scenario import small
 from tool import invoke
 
@@ -19,6 +21,7 @@ from fleet.errors import FleetError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
 from fleet.scenario.text.yaml_reader import Source, inline, plain, read
 from netem.condition import Condition
+from netem.grammar import print_condition
 from netem.link_states import LinkStates, StateProcess
 
 pytestmark = pytest.mark.usefixtures("coarse")
@@ -126,6 +129,16 @@ def test_bursts_of_independent_losses() -> None:
 def test_what_cannot_be_fitted_says_why(text: str, words: str) -> None:
     with pytest.raises(FleetError, match=words):
         link_fit.fit(read_csv(text, "t.csv"), 2)
+
+
+@given(st.floats(0.0, 0.9), st.integers(0, 10**6))
+def test_one_state_is_one_condition_also_without_losses(share: float, seed: int) -> None:
+    lost = np.random.default_rng(seed).random(200) < share
+    rows = "".join(f"{n},{int(not gone)},{'' if gone else 7}\n" for n, gone in enumerate(lost))
+    if not lost.all():
+        found = link_fit.fit(read_csv("time [s],delivered,delay [ms]\n" + rows, "t.csv"), 1)
+        assert found.section() == print_condition(Condition(delay_ns=7_000_000, loss=round(float(lost.mean()), 5)))
+        assert fit_lines(found, Path("t.csv"))[0].endswith(f"{100 * lost.mean():.3g} % lost")
 
 
 def test_a_fit_that_is_not_exact_says_by_how_much() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.link_conditions import load_trace
 from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable, read_csv
 from netem.condition import Condition
+from netem.grammar import WORDS, print_condition
+from netem.link_presets import link_presets
 from netem.link_trace import LinkTrace
 
 SECOND = 10**9
@@ -42,6 +45,23 @@ def traced(folder: Path, *keys: str, text: str = LOG) -> Scenario:
     (folder / "log.csv").write_text(text)
     links = f"network.links={{1->2: {{{', '.join(('trace: log.csv', *keys))}}}}}"
     return parse_scenario(SMALL, "small.yaml", [links], folder)
+
+
+# --- presets ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", link_presets())
+def test_each_word_of_a_preset_has_its_source_and_the_record_has_the_words(name: str) -> None:
+    preset = link_presets()[name]
+    words = [word for word in preset.condition.split() if word in WORDS]
+    assert words == list(preset.sources) and all(map(len, preset.sources.values()))
+    assert print_condition(preset.parsed()) == preset.condition
+    found = small(f"network.links={{1->2: {{preset: {name}}}}}")
+    assert found.conditions == {(1, 2): preset.parsed()}
+    assert f"1->2: {preset.condition}" in found.to_yaml()
+    assert read_back(found) == found
+    lossy = small(f"network.links={{1->2: {{preset: {name}}}}}", "network.links.1->2.loss=3 %")
+    assert lossy.conditions[1, 2] == replace(preset.parsed(), loss=0.03)
 
 
 # --- states -----------------------------------------------------------------

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
 import yaml
 
 import fleet
+from fleet.analysis.preflight import warnings
 from fleet.errors import FleetError, ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import parse_scenario
@@ -30,7 +32,7 @@ def mistakes(**sections: Any) -> str:
 def test_names_stand_where_numbers_do() -> None:
     found = scenario(
         graph={"edges": ["a-b", "b->shore"], "reference": ["shore"]},
-        network={"links": {"a<->b": "loss 10%", "b->*": "delay 1s"}},
+        network={"links": {"a<->b": "loss 10%", "b->*": "delay 1s"}, "radios": {"a, shore": "rate 80kbit"}},
         faults=[
             {"at": "1 s", "for": "1 s", "partition": "a / b,shore"},
             {"at": "5 s", "mute": "shore"},
@@ -43,6 +45,7 @@ def test_names_stand_where_numbers_do() -> None:
     assert found.graph.b == (0.0, 0.0, 1.0)
     assert found.conditions[1, 2].loss == 0.1
     assert found.conditions[2, 3].delay_ns == 10**9
+    assert {i: radio.rate_bit_s for i, radio in found.netem_config.radios.items()} == {1: 80_000, 3: 80_000}
     cut, mute, link, alone = found.faults.network
     assert set(cut.links) == {(1, 2), (2, 1)}
     assert (mute.vehicles, link.links, alone.id) == ((3,), ((1, 2),), "a")
@@ -65,11 +68,11 @@ def test_a_mistake_in_a_node_is_told_however_many_are_left(wrong: object, key: s
 def test_the_record_of_a_run_loads_to_an_equal_scenario() -> None:
     found = scenario(
         carry=["*/x/**"], header="20 bytes", discovery="linked", lost_after="3 s", log={"payloads": "yes"},
-        graph={"edges": ["a-b"]}, network={"links": {"a->b": "loss 10%"}},
+        graph={"edges": ["a-b"]}, network={"links": {"a->b": "loss 10%"}, "radios": {"a, b": "rate 80kbit"}},
         faults=[{"at": "1 s", "down": "a->b"}], checks={"max_age": {"below": "5 s", "links": "a->b"}},
     )  # fmt: skip
     text = found.to_yaml()
-    assert "a->b: loss 10%" in text
+    assert "a->b: loss 10%" in text and '"a,b": rate 80kbit' in text
     assert "reference:" not in text
     again = parse_scenario(text, "again.yaml")
     assert again == found
@@ -124,3 +127,18 @@ def test_what_belongs_to_nodes_means_nothing_without_them() -> None:
 @pytest.mark.parametrize("text", ["a / b,shore", "a->b", "*->shore", "halves", "isolate:b", "delay 300ms", "a.csv"])
 def test_a_selector_and_back(text: str) -> None:
     assert named(numbered(text, list(NODES)), list(NODES)) == text
+
+
+def test_a_queue_that_a_long_delay_fills_is_doubted() -> None:
+    """How often a program sends is unknown, so what passes is told if it is little, or if a limit is given."""
+    told = [warnings(scenario(network={"links": {"a->b": text}})) for text in ("delay 15s", "delay 300ms limit 900")]
+    assert [re.findall("link a->b: at most .* per second", line)[0] for (line, *_) in told] == [
+        "link a->b: at most 66.67 packets per second", "link a->b: at most 3000 packets per second",
+    ]  # fmt: skip
+    for fits in ("delay 300ms", "delay 300ms rate 80kbit limit 10"):
+        assert not re.findall("at most", "".join(warnings(scenario(network={"links": {"a->b": fits}}))))
+
+
+def test_the_name_of_a_preset_is_no_node() -> None:
+    nodes = {"lte": NODES["a"], "b": NODES["b"]}
+    assert scenario(nodes=nodes, network={"links": {"lte->b": {"preset": "lte-good"}}}).conditions[2, 1].rate_bit_s

@@ -65,7 +65,7 @@ def shrink(
     \b
     Examples:
       fleet shrink runs/latest
-      fleet shrink nemesis --set seed=3 --check formation_error
+      fleet shrink nemesis --set seed=4 --check tumbled
       fleet shrink my.yaml --out least.yaml
     """
     from fleet.study.modules import modules_of

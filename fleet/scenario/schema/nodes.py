@@ -14,7 +14,7 @@ from fleet.scenario.schema.value_types import Section, mistake
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}", re.ASCII)
 RESERVED = ("all", "bridge", "every", "halves", "isolate", "majority", "one", "ring")  # words where names stand
 _ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/\S+", re.ASCII)
-_TARGET = re.compile(r"([A-Za-z]\w{0,31})(?::(?:(\S+):)?(\d{1,5}))?", re.ASCII)
+_TARGET = re.compile(r"([A-Za-z]\w{0,31})(?::(?:([^\s:]+):)?(\d{1,5}))?", re.ASCII)
 
 
 def _name(value: Any) -> Any:
@@ -44,7 +44,9 @@ def _port(value: Any) -> Any:
 
 def _target(value: Any) -> Any:
     if not isinstance(value, str) or udp_target(value) is None:
-        raise mistake(f"expected a node and the port of its program such as auv2:9100, got {describe_value(value)}")
+        hint = "datagrams go to addresses of IPv4, or to names that have one" if "[" in str(value) else ""
+        what = "expected a node and the port of its program such as auv2:9100"
+        raise mistake(f"{what}, got {describe_value(value)}", hint=hint)
     return value
 
 

@@ -102,11 +102,20 @@ def test_without_an_end_it_runs_until_it_is_stopped() -> None:
         ({"nodes": {**NODES, "d": {"udp": {"9000": "e:9100"}}}}, "there is no other node e"),
         ({"nodes": {**NODES, "d": {"udp": {"90000": "a:9100"}}}}, "expected a port from 1 to 65535"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "a"}}}}, "a sends nothing to d"),
+        ({"nodes": {**NODES, "d": {"udp": {"9000": "a:[::1]:9100"}}}}, "datagrams go to addresses of IPv4"),
+        ({"nodes": {**NODES, "d": {"udp": {"9000": "a:::1:9100"}}}}, "expected a node and the port of its program"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "a:1", "9001": "a:2"}}}}, "the link d->a has a port already"),
     ],
 )
 def test_a_mistake_is_told(sections: dict[str, Any], expected: str) -> None:
     assert expected in mistakes(**sections)
+
+
+def test_a_topic_that_says_a_place_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = {**NODES, "a": {"listen": "tcp/127.0.0.1:1", "place": {"topic": "a/odom"}}}
+    scenario(nodes=nodes)
+    monkeypatch.setattr("fleet.scenario.rules.nodes.find_spec", lambda name: None)
+    assert mistakes(nodes=nodes).endswith("a topic needs the extra ros2; pip install 'uuv-fleet[ros2]'")
 
 
 def test_studies_and_runs_of_vehicles_refuse_it() -> None:

@@ -67,7 +67,7 @@ def test_names_may_have_dashes() -> None:
     )
     assert set(found.graph.links) == {(2, 3), (3, 2), (1, 5), (5, 4), (4, 5), (4, 2)}
     assert (found.conditions[3, 2].loss, found.conditions[1, 5].delay_ns) == (0.1, 10**9)
-    assert set(found.faults.network[0].links) == {(2, 3), (3, 2)}
+    assert {(2, 3), (3, 2)} <= set(found.faults.network[0].links)
     assert parse_scenario(found.to_yaml(), "again.yaml") == found
 
 

@@ -47,6 +47,7 @@ CLOSE_S = 10.0
 POLL_S = 0.05
 GONE_S = 2.0  # until the end of a process is known whose pipe has closed
 PING_S = 0.1
+BEHIND_S = 1.0  # with its reports, and so with messages: the status line says so
 LEAD_NS = 20_000_000  # a fault that is injected begins so much later, so that the relay knows it by then
 LOST_AFTER_NS = 10_000_000_000
 
@@ -188,6 +189,8 @@ class RelayRun:
         """Record a report if there is one. Returns whether more will come."""
         if self._journal.complete or (self._pipe.poll(POLL_S) and self._take()):
             return False
+        behind_s = (monotonic_ns() - self._begin_ns - self._journal.reported * self._scenario.tick_ns) / 1e9
+        self.waiting = f"the relay is behind, by {behind_s:.1f} s" if behind_s > BEHIND_S else ""
         self._explain_exit()
         progress()
         return True

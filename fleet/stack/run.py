@@ -32,7 +32,7 @@ from fleet.stack.messages import MessageLog, place_of
 from netem import relay_process
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
-from netem.relay_process import Port, RelayReport, Setup
+from netem.relay_process import MOST_NOTES, Port, RelayReport, Setup
 from netem.wire.access import CONSOLE, OPERATOR, generate
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
@@ -251,7 +251,7 @@ class RelayRun:
                 place = place_of(key, payload)
             except FleetError as error:
                 text = f"{self._scenario.vehicle_name(i)}: {error}"
-                if text not in self.notes:
+                if text not in self.notes and len(self.notes) < MOST_NOTES:
                     self._note(text)
                 continue
             self._places[i] = (*place[:3], 0.0, place[3])

@@ -23,7 +23,7 @@ import zenoh
 from netem.errors import BusError
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.outlet import Outlet
-from netem.wire.session import BASE, OTHERS, UNIVERSAL, client_settings, listening, opened, reason
+from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, client_settings, listening, opened, reason
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +44,9 @@ _SETTINGS: dict[str, Any] = (
         "transport/unicast/qos/enabled": True,
         "transport/link/tx/lease": 10_000,
         "transport/link/tx/queue/size/data": 16,
+        # Connections that never log in; zenoh's own 100 keep new programs out for ten seconds.
+        "transport/unicast/accept_pending": PENDING,
+        "transport/unicast/accept_timeout": PENDING_MS,
     }
 )
 

@@ -195,7 +195,7 @@ class Robot:
         """
         self.matched.add(number)
         first = self._includes(key)
-        if first is None and number == next(n for n, carried in enumerate(self._carry) if carried.intersects(key)):
+        if first is None and not any(carried.intersects(key) for carried in self._carry[:number]):
             self._stay(str(key))
         return first == number
 

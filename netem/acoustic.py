@@ -41,6 +41,7 @@ last try.
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Sequence
 from typing import Any
 
@@ -134,6 +135,14 @@ class AcousticChannel:
         self._transit.hand_over(self._ranges.give_up(None))
         self._receptions, self._transfers, self._answers = [], {}, []
 
+    def under_way(self) -> set[tuple[int, int]]:
+        """The payloads without a final fate, by vehicle and number."""
+        unsent = {(src, sent.seq) for src, each in self._stations.items() for sent in (*each.late, *each.waiting)} | {
+            (src, transfer.sent.seq) for src, transfer in self._transfers.items()
+        }
+        ranged = {(kept.packet.src, kept.packet.seq) for kept in self._ranges.kept}
+        return unsent | ranged | {(reception.src, reception.seq) for reception in self._receptions}
+
     # ---------------------------------------------------------------------------------- the modems
 
     def _accept(self, tick: int, src: int, payload: bytes, faults: ActiveFaults) -> None:
@@ -145,7 +154,7 @@ class AcousticChannel:
         if len(payload) > self._longest[src]:
             self._lose_unsent(src, sent, tick, Cause.MTU)
         else:
-            station.late = sorted([*station.late, sent])
+            insort(station.late, sent)
 
     def _next_event(self, alive: list[Station], until: int) -> int | None:
         ticks = [answer.start_tick for answer in self._answers]

@@ -29,6 +29,7 @@ class Cause(StrEnum):
     # Of every network again.
     DEAF = "deaf"
     DEAD_RECEIVER = "dead receiver"
+    RECEIVER = "receiver"  # of `fleet netem`: a program did not take it
 
     DELIVERED = "delivered"
     IN_FLIGHT = "in flight"

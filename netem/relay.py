@@ -7,6 +7,7 @@ and records have the grain of a tick. In water a message waits for the next tick
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from heapq import heappop, heappush
@@ -26,7 +27,8 @@ from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
 
 PUT, DELETE, QUERY, REPLY, DATAGRAM = ("put", "delete", "query", "reply", "datagram")
-_MOST_NAMED = 10_000  # messages in water that are remembered by number; a modem holds up to 1,000
+MOST_LINK_BYTES = 64 << 20  # under way in a link; a longer packet passes alone
+_MOST_ARRIVING = 10_000  # messages in fragments at a time
 
 
 class Carried(Fate, frozen=True):
@@ -60,12 +62,14 @@ class PacketPart(NamedTuple):
 
 
 class DueMessage(NamedTuple):
-    """A message that is due at a receiver."""
+    """A message that is due at a receiver, with the packet that it came with."""
 
     due_ns: int
     dst: int
     message: RobotMessage
     payload: bytes
+    packet: PendingPacket
+    part: PacketPart
 
 
 class _Outbox(Transit):
@@ -77,12 +81,16 @@ class _Outbox(Transit):
         self.named: dict[tuple[int, int], PacketPart] = {}  # by (src, seq)
         self.heap: list[tuple[int, int, PendingPacket, PacketPart]] = []
         self._parts: dict[tuple[int, int, int, int], PacketPart] = {}  # of what a fault holds
+        self.sizes: Counter[Link] = Counter()  # bytes under way
+        self.full: set[Link] = set()  # links that have lost something because so much was under way
         self.final: list[Carried] = []
         self.begin_ns = self.reported = 0  # nothing becomes final before this tick any more
         self._count = 0
 
     def add(self, packet: PendingPacket, measured: MeasuredRange | None = None) -> None:
         part = self._parts.pop(packet.name, None)  # faults have the grain of a tick
+        if part is None and not self._fits(packet):
+            return
         if part is None and self.now is not None:
             part = self.now
             due_ns = part.message.at_ns + packet.delay_ns
@@ -93,9 +101,20 @@ class _Outbox(Transit):
         heappush(self.heap, (due_ns, self._count, packet, part))
 
     def hold(self, held: HeldPacket) -> None:
-        super().hold(held)
-        assert self.now is not None
-        self._parts[held.packet.name] = self.now
+        if self._fits(held.packet):
+            super().hold(held)
+            assert self.now is not None
+            self._parts[held.packet.name] = self.now
+
+    def _fits(self, packet: PendingPacket) -> bool:
+        """Count a packet as under way, or lose it: so much is under way in its link already."""
+        link, size = (packet.src, packet.dst), len(packet.payload)
+        if self.sizes[link] and self.sizes[link] + size > MOST_LINK_BYTES:
+            self.full.add(link)
+            self.lose(packet.fate(packet.sent_tick, Cause.QUEUE))
+            return False
+        self.sizes[link] += size
+        return True
 
     def all_held(self) -> list[tuple[PendingPacket, PacketPart]]:
         """What faults hold still, for the end of the run."""
@@ -137,6 +156,7 @@ class Relay:
         self._dry = None if water else IndependentLinks(config, self._links, self._out)
         self._water = AcousticChannel(config, self._links, self._out) if water else None
         self._taken = 0
+        self._leaving: dict[int, DueMessage] = {}  # given out by `handed` and not yet settled, by identity
         self._came: dict[int, list[bytes]] = {}  # for the next tick, in water
         self._numbers = dict.fromkeys(config.vehicles, 0)  # of the next packet, in water
         self._next = 0  # tick of the next round, in water
@@ -183,7 +203,9 @@ class Relay:
         out.now = None
 
     def handed(self, now_ns: int) -> Iterator[DueMessage]:
-        """Every message that is due, in that order. The caller counts in `late` how late it handed each over."""
+        """Every message that is due, in that order. The caller says with `settle` what became of each, and counts in
+        `late` how late it was handed over.
+        """
         out = self._out
         if out.held:
             out.release(self.faults, self.tick(now_ns))
@@ -191,16 +213,23 @@ class Relay:
             self._carry(self._water)
         while out.heap and out.heap[0][0] <= now_ns:
             due_ns, _, packet, part = heappop(out.heap)
-            tick = max(packet.sent_tick, self.tick(now_ns), out.reported)
-            deaf = packet.dst in self._faults(tick).deaf
-            fate = packet._replace(due_tick=tick).fate(tick, Cause.DEAF if deaf else Cause.DELIVERED)
-            out.final.append(carried(fate, part, tick))
-            if deaf:
+            out.sizes[packet.src, packet.dst] -= len(packet.payload)
+            if packet.dst in self._faults(self._final_tick(packet, now_ns)).deaf:
+                self._end(packet, part, now_ns, Cause.DEAF)
                 continue
             self._latency_ns[packet.src, packet.dst] = packet.delay_ns
             payload = self._whole(packet, part)
-            if payload is not None and part.message.to in (None, packet.dst):
-                yield DueMessage(due_ns, packet.dst, part.message, payload)
+            if payload is None or part.message.to not in (None, packet.dst):
+                self._end(packet, part, now_ns, Cause.DELIVERED)
+                continue
+            due = DueMessage(due_ns, packet.dst, part.message, payload, packet, part)
+            self._leaving[id(due)] = due
+            yield due
+
+    def settle(self, due: DueMessage, at_ns: int, *, delivered: bool) -> None:
+        """A message that was due has been handed over, or its receiver did not take it."""
+        del self._leaving[id(due)]
+        self._end(due.packet, due.part, at_ns, Cause.DELIVERED if delivered else Cause.RECEIVER)
 
     def report(self, until: int) -> list[Carried]:
         """The fates that became final up to a tick, in the order of the log."""
@@ -217,6 +246,8 @@ class Relay:
             self._water.close(end_tick)
         heap = self._out.heap
         under_way = [(packet, part) for _, _, packet, part in heap] + self._out.all_held()
+        under_way += [(due.packet, due.part) for due in self._leaving.values()]
+        self._leaving = {}
         rest = [carried(packet.fate(end_tick, Cause.IN_FLIGHT), part, end_tick) for packet, part in under_way]
         lost = [structs.replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self._out.final]
         self._out.heap, self._out.final = [], []
@@ -233,6 +264,18 @@ class Relay:
     def latency_ns(self, link: Link) -> int:
         """The delay of the last packet that arrived over a link, or what its condition says before there is one."""
         return self._latency_ns.get(link, self._links.models[link].condition.delay_ns)
+
+    @property
+    def full(self) -> set[Link]:
+        """The links that lost something because too many bytes were under way."""
+        return self._out.full
+
+    def _final_tick(self, packet: PendingPacket, at_ns: int) -> int:
+        return max(packet.sent_tick, self.tick(at_ns), self._out.reported)
+
+    def _end(self, packet: PendingPacket, part: PacketPart, at_ns: int, cause: Cause) -> None:
+        tick = self._final_tick(packet, at_ns)
+        self._out.final.append(carried(packet._replace(due_tick=tick).fate(tick, cause), part, tick))
 
     def _faults(self, tick: int) -> ActiveFaults:
         if self._active[0] != tick or self._active[1] is not self.faults:
@@ -254,8 +297,6 @@ class Relay:
             self._came.setdefault(src, []).append(data)
             named[src, self._numbers[src]] = part
             self._numbers[src] += 1
-        while len(named) > _MOST_NAMED:
-            del named[next(iter(named))]
 
     def _carry(self, water: AcousticChannel) -> None:
         tick = self._next
@@ -263,6 +304,9 @@ class Relay:
         self._came = {}
         water.carry(MediumRound(tick, tick + 1, came, self.places, self._faults(tick)))
         self._next = tick + 1
+        if came:
+            named, under_way = self._out.named, water.under_way()
+            self._out.named = {name: part for name, part in named.items() if name in under_way}
 
     def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""
@@ -273,7 +317,7 @@ class Relay:
         have = self._arrived.setdefault(name, {})
         have[part.part] = data
         if len(have) < part.parts:
-            if len(self._arrived) > _MOST_NAMED:
+            if len(self._arrived) > _MOST_ARRIVING:
                 del self._arrived[next(iter(self._arrived))]
             return None
         del self._arrived[name]

@@ -10,7 +10,9 @@ import gc
 import os
 import socket
 import sys
+from collections import Counter
 from contextlib import suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -25,13 +27,17 @@ from netem.config import NetemConfig
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
-from netem.relay import DATAGRAM, PUT, QUERY, REPLY, Carried, Relay, RobotMessage
+from netem.relay import DATAGRAM, MOST_LINK_BYTES, PUT, QUERY, REPLY, Carried, DueMessage, Relay, RobotMessage
 from netem.wire import robots
 from netem.wire.robots import Meeting, Robot, Ticket, Token
 from netem.wire.session import quiet_zenoh
 
 MOST_DATAGRAM = 65_535
 MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
+MOST_WAITING_BYTES = 64 << 20  # of queries that wait for answers
+MOST_NOTES = 1000
+SILENT_NS = 10_000_000_000  # then another program may take the place of the sender of datagrams
+SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is named
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
@@ -122,18 +128,22 @@ class RelayProcess:
         self._pipe, self._setup, self._queue = pipe, setup, queue
         self._robots: dict[int, Robot] = {}
         self._sockets: dict[tuple[int, int], socket.socket] = {}
-        self._senders: dict[int, Any] = {}  # by robot: where its last datagram came from
+        self._senders: dict[int, tuple[Any, int]] = {}  # by robot: where its datagrams come from, and since when
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
         self._said: list[Said] = []
         self._placed: dict[int, tuple[str, bytes]] = {}
-        self._waiting: dict[Ticket, None] = {}  # oldest first; a query that nobody holds would end at its asker
+        self._waiting: dict[Ticket, int] = {}  # oldest first, with the bytes of its query; without us it would end
+        self._waiting_bytes = 0
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
-        self._tokens: dict[str, int] = {}  # those of robots, by key
-        self._shown: dict[tuple[Link, str], int] = {}  # when a token is to appear at the end of a link [ns]
+        self._tokens: dict[str, set[int]] = {}  # by key: the robots that have it
+        self._coming: dict[Link, dict[str, int]] = {}  # when a token is to appear at the end of a link [ns]
+        self._shown: dict[Link, set[str]] = {link: set() for link in setup.config.links}
+        self._kept_ns: dict[int, int] = {}  # by robot: how long it let a message wait at most
+        self._untaken: Counter[int] = Counter()  # by robot: messages that it did not take
+        self._told: set[str] = set()
         self._passed_ns: dict[Link, int] = {}  # when something could pass a link last
         self._who: dict[str, int] = {}  # by zenoh id of a router: the robot that reaches it
-        self._full: set[int] = set()
         self._came = Histogram()  # how long what comes waits for this process
         try:
             for access in setup.robots:
@@ -141,6 +151,7 @@ class RelayProcess:
                     self._robots[access.number] = Robot(access, setup.carry, queue.put)
             for port in setup.ports:
                 self._sockets[port.src, port.dst] = _bound(port)
+            self._targets = {port: (_address(port.host), port.to) for port in setup.ports}
         except BusError:
             self._close()
             raise
@@ -176,6 +187,7 @@ class RelayProcess:
             for _ in range(min(_BATCH, self._queue.qsize())):
                 self._take(self._queue.get_nowait())
             self._hand_over()
+            self._settle()
             now = monotonic_ns()
             if now >= next_round:
                 reported = (now - begin_ns - config.tick_ns) // round_ns
@@ -197,7 +209,9 @@ class RelayProcess:
             case robots.Placed(robot, key, payload):
                 self._placed[robot] = key, payload
             case _Datagram(port, at_ns, payload, sender):
-                self._senders[port.src] = sender
+                known, heard_ns = self._senders.get(port.src, (sender, at_ns))
+                if sender == known or at_ns - heard_ns > SILENT_NS:
+                    self._senders[port.src] = sender, at_ns
                 key = f"udp/{port.port}"
                 self._send_message(RobotMessage(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
             case dict():
@@ -214,9 +228,10 @@ class RelayProcess:
             self._finish(item.ticket)
             return
         if message.kind == QUERY:
-            self._waiting[message.what] = None
-            if len(self._waiting) > robots.MOST_OPEN:
-                del self._waiting[next(iter(self._waiting))]  # whoever asked has given up long ago
+            self._waiting[message.what] = len(message.payload)
+            self._waiting_bytes += len(message.payload)
+            while len(self._waiting) > robots.MOST_OPEN or self._waiting_bytes > MOST_WAITING_BYTES:
+                self._end_query(next(iter(self._waiting)))  # who asked has probably given up long ago
         elif message.kind == REPLY:
             ticket = message.what[0]
             ticket.sent[message.src] = ticket.sent.get(message.src, 0) + 1
@@ -233,8 +248,11 @@ class RelayProcess:
         """End a query whose answers are all there. If one of them was lost, the asker waits for its own time-out."""
         complete = all(ticket.arrived.get(i, 0) >= n for i, n in ticket.sent.items())
         if complete and ticket.ended >= self._hearers.get(ticket.asker, set()):
-            self._waiting.pop(ticket, None)
-            ticket.query.drop()
+            self._end_query(ticket)
+
+    def _end_query(self, ticket: Ticket) -> None:
+        self._waiting_bytes -= self._waiting.pop(ticket, 0)
+        self._robots[ticket.asker].outlet.do(ticket.end)  # behind its answers
 
     def _asked(self, request: dict[str, Any]) -> None:
         match request["op"]:
@@ -248,80 +266,115 @@ class RelayProcess:
     # --- what is due
 
     def _hand_over(self) -> None:
-        late = self._relay.late
-        for due_ns, dst, message, payload in self._relay.handed(monotonic_ns()):
-            try:
-                self._hand(dst, message, payload)
-            except BusError as error:
-                self._note(str(error))
-            late.add(monotonic_ns() - due_ns)
+        for due in self._relay.handed(monotonic_ns()):
+            if due.message.kind == DATAGRAM:
+                at_ns = monotonic_ns()
+                self._relay.late.add(at_ns - due.due_ns)
+                self._has_ended(due, at_ns, delivered=self._sent(due))
+            elif not self._offered(due):
+                self._has_ended(due, monotonic_ns(), delivered=False)
 
-    def _hand(self, dst: int, message: RobotMessage, payload: bytes) -> None:
-        if message.kind == DATAGRAM:
-            port: Port = message.what
-            back = self._sockets.get((dst, port.src)) or self._sockets[port.src, dst]
-            address = (port.host, port.to) if port.to else self._senders.get(dst)
-            if address is not None:
-                with suppress(OSError):  # as on any network: nobody may listen there
-                    back.sendto(payload, address)
+    def _offered(self, due: DueMessage) -> bool:
+        """Give a message to the outlet of its robot. False: the robot has none, or too much waits there."""
+        message, payload, robot = due.message, due.payload, self._robots.get(due.dst)
+        if robot is None:
+            return False
+        hand = partial(robot.hand, message, payload)
+        if message.kind == QUERY:
+            hand = partial(robot.ask, message.what, payload)
         elif message.kind == REPLY:
+            hand = partial(robots.answer, message, payload)
+        if not robot.outlet.offer(due, due.due_ns, len(payload), hand):
+            return False
+        if message.kind == REPLY:
             ticket = message.what[0]
-            robots.answer(message, payload)
             ticket.arrived[message.src] = ticket.arrived.get(message.src, 0) + 1
             self._finish(ticket)
-        elif dst not in self._robots:
-            return
-        elif message.kind == QUERY:
-            self._robots[dst].ask(message.what, payload)
-        else:
-            self._robots[dst].hand(message, payload)
+        return True
+
+    def _sent(self, due: DueMessage) -> bool:
+        """Send a datagram. False: the system refuses it, or no port of its receiver is known."""
+        port: Port = due.message.what
+        back = self._sockets.get((due.dst, port.src)) or self._sockets[port.src, due.dst]
+        address = self._targets[port] if port.to else self._senders.get(due.dst, (None, 0))[0]
+        if address is None:
+            return False
+        try:
+            back.sendto(due.payload, address)
+        except OSError:
+            return False
+        return True
+
+    def _settle(self) -> None:
+        """Take from the outlets what has become of messages. Their robots are judged here, the host by `late`."""
+        for i, robot in self._robots.items():
+            for due, at_ns, late_ns, kept_ns, delivered, problem in robot.outlet.outcomes():
+                if problem:
+                    self._note(problem)
+                self._relay.late.add(late_ns)
+                self._kept_ns[i] = max(kept_ns, self._kept_ns.get(i, 0))
+                self._has_ended(due, at_ns, delivered=delivered)
+
+    def _has_ended(self, due: DueMessage, at_ns: int, *, delivered: bool) -> None:
+        self._untaken[due.dst] += not delivered
+        self._relay.settle(due, at_ns, delivered=delivered)
 
     # --- discovery
 
     def _announced(self, token: Token) -> None:
-        if not self._robots[token.robot].carries(token.key):
+        robot, key = self._robots[token.robot], token.key
+        if not robot.carries(key):
             return
+        links = [(token.robot, dst) for dst in self._hearers.get(token.robot, ())]
+        holders = self._tokens.get(key, set())
         if not token.alive:
-            if self._tokens.get(token.key) == token.robot:
-                del self._tokens[token.key]
-                self._shown = {name: at for name, at in self._shown.items() if name[1] != token.key}
-                for robot in self._robots.values():
-                    robot.withdraw(token.key)
+            if token.robot in holders:
+                holders.remove(token.robot)
+                if not holders:
+                    del self._tokens[key]
+                for link in links:
+                    self._coming.get(link, {}).pop(key, None)
+                    self._hide(link, key)
             return
-        if token.key in self._tokens:
+        if token.robot in holders:
             return
         if len(self._tokens) >= robots.MOST_TOKENS:
-            if token.robot not in self._full:
-                self._full.add(token.robot)
-                name = self._robots[token.robot].name
-                self._note(f"{name}: more than {robots.MOST_TOKENS} liveliness tokens; others do not see the rest")
+            self._note(f"{robot.name}: more than {robots.MOST_TOKENS} liveliness tokens; others do not see the rest")
             return
-        self._tokens[token.key] = token.robot
-        now = monotonic_ns()
-        for link in ((token.robot, dst) for dst in self._hearers.get(token.robot, ())):
-            delay = self._relay.latency_ns(link) if self._setup.linked else 0
-            self._shown[link, token.key] = now + delay
-        self._discover(now)
+        self._tokens.setdefault(key, holders).add(token.robot)
+        for link in links:
+            if self._setup.linked:
+                self._coming.setdefault(link, {})[key] = monotonic_ns() + self._relay.latency_ns(link)
+            else:
+                self._show(link, key)
+
+    def _show(self, link: Link, key: str) -> None:
+        self._shown[link].add(key)
+        robot = self._robots[link[1]]
+        robot.outlet.do(partial(robot.mirror, key))
+
+    def _hide(self, link: Link, key: str) -> None:
+        """A token is no longer shown at the end of a link, unless another robot has it and reaches there, too."""
+        if key not in self._shown[link]:
+            return
+        self._shown[link].remove(key)
+        if not any(key in self._shown.get((src, link[1]), ()) for src in self._tokens.get(key, ())):
+            robot = self._robots[link[1]]
+            robot.outlet.do(partial(robot.withdraw, key))
 
     def _discover(self, now_ns: int) -> None:
-        """Show the tokens that are due; with `linked`, withdraw those behind a link that nothing passes for long."""
-        if not self._setup.linked:
-            for link, key in self._shown:
-                self._robots[link[1]].mirror(key)
-            self._shown.clear()
-            return
-        lost = set()
-        for link in self._setup.config.links:
+        """With `linked`, show the tokens that are due, and hide those behind a link that nothing passes for long."""
+        for link in self._setup.config.links if self._setup.linked else ():
+            coming = self._coming.setdefault(link, {})
             if self._relay.passes(link, now_ns):
                 self._passed_ns[link] = now_ns
+                for key in [key for key, at_ns in coming.items() if at_ns <= now_ns]:
+                    del coming[key]
+                    self._show(link, key)
             elif now_ns - self._passed_ns.setdefault(link, now_ns) > self._setup.lost_after_ns:
-                lost.add(link)
-        for (link, key), at_ns in self._shown.items():
-            robot = self._robots[link[1]]
-            if link in lost:
-                robot.withdraw(key)
-            elif at_ns <= now_ns and self._passed_ns.get(link) == now_ns:
-                robot.mirror(key)
+                for key in [*self._shown[link]]:
+                    self._hide(link, key)
+                    coming[key] = now_ns
 
     def _linked(self, link: robots.Linked) -> None:
         robot = self._robots[link.robot]
@@ -341,7 +394,9 @@ class RelayProcess:
     # --- the console
 
     def _note(self, text: str) -> None:
-        if len(self._notes) < 100:
+        """Tell the console something; the same thing once."""
+        if text not in self._told and len(self._told) < MOST_NOTES:
+            self._told.add(text)
             self._notes.append(text)
 
     def _report(self, until: int) -> None:
@@ -353,6 +408,8 @@ class RelayProcess:
             self._sender.join(0.01)
 
     def _last(self, end: int) -> None:
+        self._settle()
+        self._sum_up()
         fates = self._relay.close(end)
         closing = {
             "entered": [[*link, *counts] for link, counts in self._relay.entered.items()],
@@ -360,6 +417,27 @@ class RelayProcess:
             "came": self._came.to_values(),
         }
         self._end_with(RelayReport(end, fates, self._said, [], self._notes, closing))
+
+    def _sum_up(self) -> None:
+        """Notes about the whole run: who was slow, what stayed with its robot, what found no room."""
+        names = {access.number: access.name for access in self._setup.robots}
+        for i, name in names.items():
+            if (kept_ns := self._kept_ns.get(i, 0)) > SLOW_NS or self._untaken[i]:
+                lost = f"; {self._untaken[i]} were not taken (receiver)" if self._untaken[i] else ""
+                self._note(f"{name} kept messages waiting for up to {kept_ns / 1e9:.3g} s{lost}")
+        for src, dst in sorted(self._relay.full):
+            most = f"more than {MOST_LINK_BYTES >> 20} MiB were under way"
+            self._note(f"{names[src]}->{names[dst]}: {most}; what did not fit was lost (queue)")
+        matched = set[int]()
+        for robot in self._robots.values():
+            matched |= robot.matched
+            if count := robot.stayed.total():
+                some = ", ".join(repr(key) for key, _ in robot.stayed.most_common(3))
+                what = f"{count} messages, queries and replies whose keys no expression of carry includes ({some})"
+                self._note(f"{robot.name}: {what} stayed with it")
+        for number, key in enumerate(self._setup.carry):
+            if self._robots and number not in matched and key != "**":
+                self._note(f"carry: nothing came on {key}")
 
     def fail(self, error: BusError) -> None:
         """Tell the console why this cannot go on."""
@@ -399,6 +477,14 @@ class RelayProcess:
             each.close()
         for robot in self._robots.values():
             robot.close()
+
+
+def _address(host: str) -> str:
+    """The address of a host for datagrams. Raises BusError: there is no such host."""
+    try:
+        return str(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])
+    except OSError as error:
+        raise BusError(f"datagrams cannot go to {host}: {error.strerror}; give a host with an IPv4 address") from None
 
 
 def _bound(port: Port) -> socket.socket:

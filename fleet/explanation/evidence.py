@@ -50,6 +50,7 @@ CAUSES: dict[str, str] = {
     Cause.DEAD_SENDER: "the sender's agent was gone",
     Cause.DEAF: "the receiver was deaf",
     Cause.DEAD_RECEIVER: "the receiver's agent was gone",
+    Cause.RECEIVER: "the receiver's program did not take it",
     CORRUPTED: "it arrived damaged",
     ON_THE_WAY: "it was still on the way",
     NOT_SENT: "the sender sent nothing",

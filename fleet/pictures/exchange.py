@@ -43,6 +43,7 @@ FATES: dict[str, tuple[str, str]] = {
     Cause.DEAD_SENDER: ("8", "#A65628"),
     Cause.DEAF: ("d", "#E7298A"),
     Cause.DEAD_RECEIVER: ("H", "#4A2C0A"),
+    Cause.RECEIVER: ("p", "#FF5A36"),
 }
 _BINS = 300  # of the time axis of the ages, at most; twice as many where every tooth can be seen
 _ROUNDS = 12  # shown by the space-time diagram unless a window is given

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import pwd
+import re
+import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 from fleet.analysis.link_shares import link_lines
 from fleet.scenario.scenario import Scenario, timeline_lines
 from fleet.scenario.schema.nodes import Node
 
-_LOOPBACK = ("127.", "localhost", "[::1]", "unixsock")
+_LOOPBACK = ("127.", "localhost", "[::1]")
+_EVERY = re.compile(r"/(0\.0\.0\.0|\[::\])(?=:)")  # every address of this host
+_PEOPLE = range(1000, 60_000)  # the numbers of the accounts of people
 
 
 def lines(scenario: Scenario) -> Iterator[str]:
@@ -21,7 +28,8 @@ def lines(scenario: Scenario) -> Iterator[str]:
 
 def _of(node: Node) -> Iterator[str]:
     if node.listen:
-        yield f"""export ZENOH_CONFIG_OVERRIDE='connect/endpoints=["{node.listen}"]'"""
+        address = _EVERY.sub(f"/{socket.gethostname()}", node.listen)
+        yield f"""export ZENOH_CONFIG_OVERRIDE='connect/endpoints=["{address}"]'"""
     elif node.connect:
         yield f"joins the router at {node.connect}"
     for port, target in node.udp.items():
@@ -29,13 +37,31 @@ def _of(node: Node) -> Iterator[str]:
 
 
 def warnings(scenario: Scenario) -> Iterator[str]:
-    """Ports that other machines reach and that ask for no password."""
-    for name, node in (scenario.spec.nodes or {}).items():
-        if node.listen and not node.listen.partition("/")[2].startswith(_LOOPBACK) and not node.zenoh:
+    """Ports that other machines, or other users of this one, reach and that ask for no password."""
+    nodes = (scenario.spec.nodes or {}).items()
+    here = []
+    for name, node in nodes:
+        kind, _, address = (node.listen or "").partition("/")
+        if not node.listen or node.zenoh or kind == "unixsock-stream":
+            continue
+        if address.startswith(_LOOPBACK):
+            here.append(name)
+        else:
             yield (
                 f"{name} listens on {node.listen} for other machines, and the port has no password; "
                 "give it a file of zenoh's configuration (zenoh: FILE.json5) with TLS and users"
             )
+    here += [name for name, node in nodes if node.udp and name not in here]
+    if here and (others := _other_people()):
+        who = f"other users of this machine ({', '.join(others)})"
+        hint = "listen on unixsock-stream/PATH in a folder of yours, or use zenoh's users"
+        yield f"{who} can hear the programs of {', '.join(here)} and speak for them: ports have no password; {hint}"
+
+
+def _other_people() -> list[str]:
+    """Some other people who have an account on this machine and can log in."""
+    found = [one for one in pwd.getpwall() if one.pw_uid in _PEOPLE and one.pw_uid != os.getuid()]
+    return sorted(one.pw_name for one in found if Path(one.pw_shell).name not in ("nologin", "false", ""))[:3]
 
 
 def summary(scenario: Scenario) -> list[str]:

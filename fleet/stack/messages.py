@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from math import pi
 
+from agents.payload import MAX_SUM
 from fleet.errors import FleetError
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.transforms import angles, enu
@@ -40,17 +42,18 @@ class MessageLog:
         metadata = {"zenoh.key": said.key, "zenoh.kind": said.kind, "zenoh.encoding": said.encoding}
         if entity is not None and said.kind == "put":
             topic = f"{robot}{entity.name}"
-            types = types_of()
-            if entity.type in types.store.fielddefs:
-                schema = entity.type, "ros2msg", types.definition(entity.type).encode()
-                return self._log.other_channel(topic, "cdr", schema, metadata)
+            with suppress(FleetError):  # without the extra a message has its bytes and no schema
+                types = types_of()
+                if entity.type in types.store.fielddefs:
+                    schema = entity.type, "ros2msg", types.definition(entity.type).encode()
+                    return self._log.other_channel(topic, "cdr", schema, metadata)
             return self._log.other_channel(topic, "application/cdr", None, metadata)
         return self._log.other_channel(f"{robot}/{said.key}", message_encoding(said.encoding), None, metadata)
 
 
 def place_of(key: str, payload: bytes) -> tuple[float, float, float, float]:
     """The place of a robot: north, east, down [m] and yaw [rad], from a message of ROS (east, north, up). Raises
-    FleetError: the topic has another type, or the message cannot be decoded.
+    FleetError: the topic has another type, the message cannot be decoded, or its place is not finite.
     """
     entity = read_key(key)
     if entity is None or entity.type not in _PLACES:
@@ -62,5 +65,7 @@ def place_of(key: str, payload: bytes) -> tuple[float, float, float, float]:
         raise FleetError(f"{key:.80}: {error}") from None
     pose = message.pose.pose if entity.type == _PLACES[0] else message.pose
     p, q = pose.position, pose.orientation
+    if not all(abs(value) <= MAX_SUM for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w)):  # nan, too
+        raise FleetError(f"{key:.80} says no place: {p.x:g} {p.y:g} {p.z:g} m is not finite, or beyond {MAX_SUM:g} m")
     _, _, yaw = angles(q.x, q.y, q.z, q.w)  # from east, anticlockwise
     return *enu((p.x, p.y, p.z)), pi / 2.0 - yaw  # enu is its own inverse

@@ -32,7 +32,7 @@ from fleet.stack.messages import MessageLog, place_of
 from netem import relay_process
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
-from netem.relay_process import Port, RelayReport, Setup
+from netem.relay_process import MOST_NOTES, Port, RelayReport, Setup
 from netem.wire.access import CONSOLE, OPERATOR, generate
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
@@ -47,6 +47,7 @@ CLOSE_S = 10.0
 POLL_S = 0.05
 GONE_S = 2.0  # until the end of a process is known whose pipe has closed
 PING_S = 0.1
+BEHIND_S = 1.0  # with its reports, and so with messages: the status line says so
 LEAD_NS = 20_000_000  # a fault that is injected begins so much later, so that the relay knows it by then
 LOST_AFTER_NS = 10_000_000_000
 
@@ -188,6 +189,8 @@ class RelayRun:
         """Record a report if there is one. Returns whether more will come."""
         if self._journal.complete or (self._pipe.poll(POLL_S) and self._take()):
             return False
+        behind_s = (monotonic_ns() - self._begin_ns - self._journal.reported * self._scenario.tick_ns) / 1e9
+        self.waiting = f"the relay is behind, by {behind_s:.1f} s" if behind_s > BEHIND_S else ""
         self._explain_exit()
         progress()
         return True
@@ -248,7 +251,7 @@ class RelayRun:
                 place = place_of(key, payload)
             except FleetError as error:
                 text = f"{self._scenario.vehicle_name(i)}: {error}"
-                if text not in self.notes:
+                if text not in self.notes and len(self.notes) < MOST_NOTES:
                     self._note(text)
                 continue
             self._places[i] = (*place[:3], 0.0, place[3])

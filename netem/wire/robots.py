@@ -9,8 +9,12 @@ Samples of our own puts do not come back, and queries do not loop: subscribers a
 from __future__ import annotations
 
 import json
+import logging
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from threading import current_thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
@@ -18,7 +22,10 @@ import zenoh
 
 from netem.errors import BusError
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
-from netem.wire.session import BASE, OTHERS, UNIVERSAL, client_settings, listening, opened, reason
+from netem.wire.outlet import Outlet
+from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, client_settings, listening, opened, reason
+
+log = logging.getLogger(__name__)
 
 ROS_TOKENS = "@ros2_lv"
 MOST_TOKENS = 10_000  # of one robot that are mirrored
@@ -37,6 +44,9 @@ _SETTINGS: dict[str, Any] = (
         "transport/unicast/qos/enabled": True,
         "transport/link/tx/lease": 10_000,
         "transport/link/tx/queue/size/data": 16,
+        # Connections that never log in; zenoh's own 100 keep new programs out for ten seconds.
+        "transport/unicast/accept_pending": PENDING,
+        "transport/unicast/accept_timeout": PENDING_MS,
     }
 )
 
@@ -56,11 +66,17 @@ class Meeting:
 class Ticket:
     """A query of a robot's program that waits for its answers."""
 
-    query: Any  # zenoh's own
+    query: Any  # zenoh's own; None: it has ended
     asker: int
     sent: dict[int, int] = field(default_factory=dict)  # replies by robot that went into a link
     arrived: dict[int, int] = field(default_factory=dict)
     ended: set[int] = field(default_factory=set)  # robots of which no reply will come any more
+
+    def end(self) -> None:
+        """Tell who asked that there will be no more answers."""
+        if self.query is not None:
+            self.query.drop()
+            self.query = None  # with its payload
 
 
 class Token(NamedTuple):
@@ -117,12 +133,16 @@ class Robot:
         of zenoh.
         """
         self.number, self.name = access.number, access.name
+        self.stayed: Counter[str] = Counter()  # by key: what no expression of `carry` includes, although it meets one
+        self.matched: set[int] = set()  # the numbers of the expressions of `carry` that something came on
         self._put = put
         self._session = _opened(access)
+        self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
-        self._served: dict[str, Any] = {}  # services of others, by key
+        self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
         # Advanced publishers, as those of transient local topics, answer below their key; ** does not include @.
-        self._carry = [zenoh.KeyExpr(text) for text in carry]
+        below = [f"{key.removesuffix('/**').removesuffix('**')}/**/@adv/**" for key in carry if "@" not in key]
+        self._carry = [zenoh.KeyExpr(text) for text in (*carry, *(key.removeprefix("/") for key in below))]
         self._held: list[Any] = []
 
     def begin(self) -> None:
@@ -130,12 +150,12 @@ class Robot:
         session, direct = self._session, _direct
         listener = session.info.declare_transport_events_listener(direct(self._linked), history=True)
         self._held.append(listener)
-        for key in self._expressions():
-            self._held.append(session.declare_subscriber(key, direct(self._heard), allowed_origin=_REMOTE))
-            asked = direct(self._asked)
+        for number, key in enumerate(self._carry):
+            heard, asked = direct(partial(self._heard, number)), direct(partial(self._asked, number))
+            self._held.append(session.declare_subscriber(key, heard, allowed_origin=_REMOTE))
             self._held.append(session.declare_queryable(key, asked, complete=False, allowed_origin=_REMOTE))
-        for key in ("**", f"{ROS_TOKENS}/**", *(k for k in self._expressions() if "@" in k)):
-            tokens = session.liveliness().declare_subscriber(key, direct(self._announced), history=True)
+        for text in ("**", f"{ROS_TOKENS}/**", *(k for k in map(str, self._carry) if "@" in k)):
+            tokens = session.liveliness().declare_subscriber(text, direct(self._announced), history=True)
             self._held.append(tokens)
 
     def watch(self, topic: str) -> None:
@@ -153,32 +173,48 @@ class Robot:
         self._held.clear()
         self._mirrored.clear()
         self._served.clear()
+        self.outlet.close()
         self._session.close()  # type: ignore[no-untyped-call]
-
-    def _expressions(self) -> list[str]:
-        expressions = [str(key) for key in self._carry]
-        below = [f"{key.removesuffix('/**').removesuffix('**')}/**/@adv/**" for key in expressions if "@" not in key]
-        return expressions + [key.removeprefix("/") for key in below]
 
     # --- on a thread of zenoh
 
-    def _heard(self, what: Any) -> None:
-        self._put(_Heard(self.number, monotonic_ns(), what))
+    def _heard(self, number: int, sample: Any) -> None:
+        if self._takes(number, sample.key_expr):
+            self._put(_Heard(self.number, monotonic_ns(), sample))
 
-    def _asked(self, query: Any) -> None:
-        if str(query.key_expr) in self._served:  # it comes a second time, to the queryable of that key
-            query.drop()
+    def _asked(self, number: int, query: Any) -> None:
+        # Of a key that is served it comes a second time, to the queryable of that key.
+        if str(query.key_expr) not in self._served and self._takes(number, query.key_expr):
+            self._put(_Heard(self.number, monotonic_ns(), query))
         else:
-            self._heard(query)
+            query.drop()
+
+    def _takes(self, number: int, key: Any) -> bool:
+        """Whether expression `number` of `carry` passes a message or query on: it is the first one that includes its
+        key. A key that is a pattern may meet several, and be included in none.
+        """
+        self.matched.add(number)
+        first = self._includes(key)
+        if first is None and not any(carried.intersects(key) for carried in self._carry[:number]):
+            self._stay(str(key))
+        return first == number
+
+    def _includes(self, key: Any) -> int | None:
+        """The number of the first expression of `carry` that includes a key."""
+        return next((number for number, carried in enumerate(self._carry) if carried.includes(key)), None)
+
+    def _stay(self, key: str) -> None:
+        self.stayed[key if len(self.stayed) < MOST_TOKENS else ""] += 1
 
     def _linked(self, event: Any) -> None:
         begins = event.kind == zenoh.SampleKind.PUT
+        if not begins:
+            self.outlet.lost_link()
         self._put(Linked(self.number, str(event.transport.zid), begins))
 
     def _announced(self, sample: Any) -> None:
-        key = str(sample.key_expr)
-        if key not in self._mirrored:
-            self._put(Token(self.number, key, sample.kind == zenoh.SampleKind.PUT))
+        if current_thread() is not self.outlet.thread:  # it is no token that we show or withdraw
+            self._put(Token(self.number, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
     # --- on the thread of the relay
 
@@ -191,42 +227,66 @@ class Robot:
                 return True
             key = found[1]
         try:
-            expression = zenoh.KeyExpr(key.partition("/@adv/")[0])
+            return self._includes(zenoh.KeyExpr(key.partition("/@adv/")[0])) is not None
         except zenoh.ZError:
             return False
-        return any(carried.intersects(expression) for carried in self._carry)
+
+    # --- on the thread of its outlet
 
     def mirror(self, token: str) -> None:
         """Show a token of another robot, and the service that it stands for, if there is room for it."""
         if token in self._mirrored or len(self._mirrored) >= MOST_TOKENS:
             return
-        self._mirrored[token] = None  # before it is declared: it comes back to our own subscriber
-        self._mirrored[token] = self._session.liveliness().declare_token(token)
-        found = ros_key(token)
-        if found is not None and found[0] == "SS" and found[1] not in self._served:
-            # A client of ROS asks complete queryables only, and ours for all keys must not be one: zenoh would ask it
-            # in place of the robot's own.
-            asked = _direct(self._heard)
-            self._served[found[1]] = self._session.declare_queryable(
-                found[1], asked, complete=True, allowed_origin=_REMOTE
-            )
+        try:
+            self._mirrored[token] = self._session.liveliness().declare_token(token)
+            if service := _service(token):
+                if service not in self._served:
+                    self._served[service] = self._serve(service), set()
+                self._served[service][1].add(token)
+        except zenoh.ZError as error:
+            log.warning("%s: cannot show the token %s: %s", self.name, token, reason(error))
 
     def withdraw(self, token: str) -> None:
-        shown = self._mirrored.get(token)
+        """Show a token no more. If a program of this robot has the same one, zenoh did not say so: it does now."""
+        shown = self._mirrored.pop(token, None)
         if shown is None:
             return
-        shown.undeclare()
-        del self._mirrored[token]
-        found = ros_key(token)
-        if found is not None and found[0] == "SS" and found[1] in self._served:
-            self._served.pop(found[1]).undeclare()
+        service = _service(token)
+        try:
+            shown.undeclare()
+            if service in self._served:
+                queryable, tokens = self._served[service]
+                tokens.discard(token)
+                if not tokens:
+                    del self._served[service]
+                    queryable.undeclare()
+            own = _direct(lambda reply: reply.ok and self._put(Token(self.number, token, True)))
+            self._session.liveliness().get(token, own)
+        except zenoh.ZError as error:
+            log.warning("%s: cannot withdraw the token %s: %s", self.name, token, reason(error))
+
+    def _serve(self, service: str) -> Any:
+        # A client of ROS asks complete queryables only, and ours for all keys must not be one: zenoh would ask it
+        # in place of the robot's own.
+        def asked(query: Any) -> None:
+            if str(query.key_expr) == service:
+                self._put(_Heard(self.number, monotonic_ns(), query))
+            else:  # a pattern, which comes to the queryables of `carry`, too
+                query.drop()
+
+        return self._session.declare_queryable(service, _direct(asked), complete=True, allowed_origin=_REMOTE)
 
     def ask(self, ticket: Ticket, payload: bytes) -> None:
         """Put a query of another robot to the programs of this one. Raises BusError: the session cannot send it."""
         query, number, put = ticket.query, self.number, self._put
+        if query is None:
+            return  # it has ended
 
         def replied(reply: Any) -> None:
-            put(_Replied(number, monotonic_ns(), ticket, reply))
+            if reply.ok is None or self._includes(reply.ok.key_expr) is not None:
+                put(_Replied(number, monotonic_ns(), ticket, reply))
+            else:
+                self._stay(str(reply.ok.key_expr))
 
         def ended() -> None:
             put(_Replied(number, monotonic_ns(), ticket, None))
@@ -270,6 +330,8 @@ def answer(message: RobotMessage, payload: bytes) -> None:
     """Give a reply that has arrived to the program that asked."""
     ticket, reply = message.what
     query = ticket.query
+    if query is None:
+        return  # it has ended
     try:
         if reply.ok is None:
             query.reply_err(payload, encoding=reply.err.encoding)
@@ -313,6 +375,12 @@ def ros_key(token: str) -> tuple[str, str] | None:
     return parts[5], "/".join([parts[1], parts[9].replace("%", "/").strip("/"), parts[10], parts[11]])
 
 
+def _service(token: str) -> str:
+    """The key of the service that a token of ROS stands for, or an empty text."""
+    found = ros_key(token)
+    return found[1] if found is not None and found[0] == "SS" else ""
+
+
 def _direct(handler: Callable[[Any], None]) -> Any:
     """A handler that zenoh calls itself, without a thread in between."""
     return zenoh.handlers.Callback(handler, indirect=False)
@@ -325,10 +393,10 @@ def _opened(access: Meeting) -> zenoh.Session:
         raise BusError(f"{access.name}: {access.config} is no configuration of zenoh ({reason(error)})") from None
     settings = dict(_SETTINGS)
     if access.listen:
-        settings |= {"mode": "router"} | listening([access.listen])
+        settings |= {"mode": "router", "connect/endpoints": []} | listening([access.listen])
         problem = f"{access.name}: cannot listen on {access.listen}"
     else:
-        settings |= {"mode": "client"} | client_settings([access.connect], None, 5000)
+        settings |= {"mode": "client", "listen/endpoints": []} | client_settings([access.connect], None, 5000)
         problem = f"{access.name}: no router answers at {access.connect}"
     try:
         for key, value in settings.items():

@@ -14,6 +14,7 @@ import zenoh
 
 from netem.private_file import write_whole
 from netem.wire.access import LEASE_MS, Credentials, Listener
+from netem.wire.listening import socket_place
 
 # --- settings: zenoh's, for our sessions, as paths and values, with the reasons
 # * `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
@@ -143,7 +144,10 @@ def open_session(mode: Literal["client", "router"], settings: dict[str, Any]) ->
 
 
 def opened(config: zenoh.Config) -> zenoh.Session:
-    """A session of a configuration. Raises zenoh.ZError if it cannot be opened."""
+    """A session of a configuration. Raises zenoh.ZError if it cannot be opened, or would remove a file to listen."""
+    for path in re.findall(r'"unixsock-stream/([^"?#]+)', config.get_json("listen/endpoints")):
+        if wrong := socket_place(Path(json.loads(f'"{path}"'))):
+            raise zenoh.ZError(wrong)
     try:
         return zenoh.open(config)
     except BaseException as error:

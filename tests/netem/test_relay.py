@@ -10,6 +10,7 @@ from any_condition import conditions as any_conditions
 from hypothesis import given
 from hypothesis import strategies as st
 
+import netem.relay
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.fault_kinds import Cause
@@ -45,7 +46,12 @@ def message(src: int, payload: bytes, at_ms: float = 0.0, to: int | None = None)
 
 
 def handed(relay: Relay, at_ms: float) -> list[DueMessage]:
-    return list(relay.handed(BEGIN_NS + round(at_ms * 1e6)))
+    """What is due, and has been handed over at once."""
+    at_ns = BEGIN_NS + round(at_ms * 1e6)
+    found = list(relay.handed(at_ns))
+    for due in found:
+        relay.settle(due, at_ns, delivered=True)
+    return found
 
 
 def key(fate: Carried) -> tuple[object, ...]:
@@ -68,7 +74,7 @@ def test_the_nth_packet_of_a_link_has_the_fate_of_lockstep(
     for tick, (src, payload) in enumerate(sent):
         relay.take(message(src, payload, tick))
         there += lockstep.exchange(tick, {src: (payload,)}, PLACES).fates
-    list(relay.handed(BEGIN_NS + 10**15))
+    handed(relay, 10**9)
     here = relay.report(10**12)
     end = 10**9
     for tick in range(len(sent), len(sent) + 1):
@@ -87,7 +93,7 @@ def test_every_packet_is_accounted_for_once(condition: Condition, sent: list[tup
     fates: list[Carried] = []
     for src, at_ms in sorted(sent, key=lambda one: one[1]):
         relay.take(message(src, b"abc", at_ms))
-        list(relay.handed(BEGIN_NS + round(at_ms * 1e6)))
+        handed(relay, at_ms)
         fates += relay.report(int(at_ms))
     fates += relay.close(10**6 + end_ms)
     entered = relay.entered
@@ -232,7 +238,7 @@ def test_what_waits_in_a_modem_at_the_end_is_in_flight() -> None:
     relay = water()
     for _ in range(5):
         relay.take(message(1, b"x"))
-    list(relay.handed(BEGIN_NS + 300_000_000))
+    handed(relay, 300)
     fates = relay.close(31)
     assert {fate.cause for fate in fates} <= {Cause.DELIVERED, Cause.IN_FLIGHT}
     assert len(fates) == relay.entered[1, 2][0] == 5
@@ -265,3 +271,68 @@ def test_what_is_still_held_at_the_end_is_in_flight() -> None:
     assert relay.due_ns() is None
     assert [fate.cause for fate in relay.close(100)] == [Cause.IN_FLIGHT]
     assert relay.close(200) == []
+
+
+# --- what is lost because of a receiver, and what is kept
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 3), st.sampled_from(["takes", "refuses", "keeps"])), max_size=20),
+    st.booleans(),
+)
+def test_delivered_is_what_was_handed_over(sent: list[tuple[int, str]], in_water: bool) -> None:
+    """What a receiver does not take is lost at it, and what it keeps waiting up to the end is in flight."""
+    relay = water() if in_water else Relay(config(), BEGIN_NS)
+    expected: Counter[str] = Counter()
+    for number, (src, _) in enumerate(sent):
+        relay.take(message(src, bytes([number]), number * 3000.0))
+    for due in relay.handed(BEGIN_NS + 10**11):
+        does = sent[due.payload[0]][1]
+        if does != "keeps":
+            relay.settle(due, BEGIN_NS + 10**11, delivered=does == "takes")
+        expected[{"takes": Cause.DELIVERED, "refuses": Cause.RECEIVER, "keeps": Cause.IN_FLIGHT}[does]] += 1
+    fates = relay.report(10**9) + relay.close(10**10)
+    assert Counter(fate.cause for fate in fates if fate.cause in expected) == expected
+    assert Counter((fate.src, fate.dst) for fate in fates) == Counter(
+        {link: packets + copies for link, (packets, copies) in relay.entered.items() if packets}
+    )
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_bytes_under_way_in_a_link_are_bounded(held: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(netem.relay, "MOST_LINK_BYTES", 1000)
+    faults = [NetFault("f", 0, 2000, "hold", LINKS)] if held else []
+    relay = Relay(config(Condition(delay_ns=10**9), 1, *faults), BEGIN_NS)
+    for size in (2000, 10, 10):  # the first is alone, and passes
+        relay.take(message(1, bytes(size)))
+    assert [len(one.payload) for one in handed(relay, 2000)] == [2000]
+    for _ in range(12):
+        relay.take(message(1, bytes(100), 2000))
+    assert len(handed(relay, 4000)) == 10
+    assert relay.full == {(1, 2)}
+    causes = Counter(fate.cause for fate in relay.report(10**6))
+    assert causes == {Cause.DELIVERED: 11, Cause.QUEUE: 4}
+
+
+@pytest.mark.parametrize(("length", "parts"), [(700_000, 14_000), (2_000, 40)])
+def test_a_long_message_in_water_replaces_its_own_beginning(length: int, parts: int) -> None:
+    """It ended the relay: the beginning had been forgotten while it was in the modem."""
+    relay = water(fragments=True)
+    relay.take(message(1, bytes(length)))
+    handed(relay, 100)
+    fates = relay.report(10**6) + relay.close(10**7)
+    assert len(fates) == parts
+    assert Counter(fate.cause for fate in fates)[Cause.REPLACED] == parts - 20
+
+
+@given(st.lists(st.tuples(st.integers(1, 3), st.sampled_from([1, 50, 51, 400])), max_size=30), st.booleans())
+def test_messages_whose_fate_is_final_are_forgotten(sent: list[tuple[int, int]], fragments: bool) -> None:
+    relay = water(fragments)
+    for number, (src, size) in enumerate(sent):
+        relay.take(message(src, bytes(size), number * 100.0))
+        handed(relay, number * 100.0)
+    handed(relay, 20_000)
+    relay.take(message(1, b"x", 20_000))
+    handed(relay, 20_010)
+    assert len(relay._out.named) == 1
+    assert not sum(relay._out.sizes.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import get_args
 
 from fleet.scenario.parts import Parts
@@ -36,6 +37,8 @@ def nodes(parts: Parts, report: Report) -> None:
             report.add(("nodes", name), "has no place, and sound needs one", "place: 0 0 10 m, or a topic that says it")
         if isinstance(node.place, TopicPlace) and not (node.listen or node.connect):
             report.add(("nodes", name, "place"), "a topic needs listen or connect")
+        if isinstance(node.place, TopicPlace) and not all(map(find_spec, ("rosbags", "xxhash"))):
+            report.add(("nodes", name, "place"), "a topic needs the extra ros2", "pip install 'uuv-fleet[ros2]'")
     if spec.fragments and not water:
         report.add(
             ("fragments",), "has no effect without an acoustic channel: links take packets of any size", key=True

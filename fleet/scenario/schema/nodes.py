@@ -11,17 +11,18 @@ from fleet.quantities import describe_value
 from fleet.scenario.schema import value_types as v
 from fleet.scenario.schema.value_types import Section, mistake
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}", re.ASCII)
+NAME = re.compile(r"(?=.{1,32}$)[A-Za-z][A-Za-z0-9_]*(-[A-Za-z0-9_]+)*", re.ASCII)
 RESERVED = ("all", "bridge", "every", "halves", "isolate", "majority", "one", "ring")  # words where names stand
+_TOPICS = ("faults", "link", "run", "scene", "snapshot", "transforms", "uuv")  # first words of topics of the log
 _ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/\S+", re.ASCII)
-_TARGET = re.compile(r"([A-Za-z]\w{0,31})(?::(?:(\S+):)?(\d{1,5}))?", re.ASCII)
+_TARGET = re.compile(r"([A-Za-z][\w-]{0,31})(?::(?:([^\s:]+):)?(\d{1,5}))?", re.ASCII)
 
 
 def _name(value: Any) -> Any:
     text = str(value)
-    if not NAME.fullmatch(text) or text in RESERVED:
-        hint = "a - stands between the two nodes of an edge" if "-" in text else ""
-        raise mistake(f"expected a name of letters, digits and _, got {describe_value(value)}", hint=hint)
+    if not NAME.fullmatch(text) or text in RESERVED or text in _TOPICS:
+        hint = "topics of the log begin with this word" if text in _TOPICS else "as in auv1 or auv-1"
+        raise mistake(f"expected a name of letters, digits, _ and -, got {describe_value(value)}", hint=hint)
     return text
 
 
@@ -44,7 +45,9 @@ def _port(value: Any) -> Any:
 
 def _target(value: Any) -> Any:
     if not isinstance(value, str) or udp_target(value) is None:
-        raise mistake(f"expected a node and the port of its program such as auv2:9100, got {describe_value(value)}")
+        hint = "datagrams go to addresses of IPv4, or to names that have one" if "[" in str(value) else ""
+        what = "expected a node and the port of its program such as auv2:9100"
+        raise mistake(f"{what}, got {describe_value(value)}", hint=hint)
     return value
 
 

@@ -4,23 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 from fleet.scenario.schema.nodes import RESERVED
 
-FREE = (
-    "id",
-    "name",
-    "modem",
-    "site",
-    "preset",
-    "trace",
-    "topic",
-    "mode",
-    "aims",
-    "pick",
-)  # keys whose values are no selectors
-_WORD = re.compile(r"[A-Za-z]\w*", re.ASCII)
+# Keys whose values are no selectors.
+FREE = ("id", "name", "modem", "site", "preset", "trace", "topic", "mode", "aims", "pick")
 _NUMBERS = re.compile(r"(isolate:\s*)?[\d\s,/<>*-]+", re.ASCII)
 _SELECTOR = re.compile(r"[\w\s,/<>*:-]+", re.ASCII)
 
@@ -29,13 +19,23 @@ def numbered(text: str, names: Sequence[str]) -> str:
     """A selector with numbers in place of names; any other text as it is. Raises KeyError: it is a selector with a
     name that there is not.
     """
-    words = _WORD.findall(text)
+    pattern = _word(tuple(names))
+    words = pattern.findall(text)
     if not any(word in names for word in words) or not _SELECTOR.fullmatch(text):
         return text
     for word in words:
         if word not in names and word not in RESERVED:
             raise KeyError(word)
-    return _WORD.sub(lambda found: found[0] if found[0] in RESERVED else str(names.index(found[0]) + 1), text)
+    return pattern.sub(lambda found: found[0] if found[0] in RESERVED else str(names.index(found[0]) + 1), text)
+
+
+@cache
+def _word(names: tuple[str, ...]) -> re.Pattern[str]:
+    """A name, the longest one that fits, or a word that is none. The - of `a-b` stands between two names, and that of
+    `a-1` belongs to a word.
+    """
+    longest = sorted(map(re.escape, names), key=len, reverse=True)
+    return re.compile(rf"(?<!\w)(?:{'|'.join(longest)})(?!\w|-\d)|[A-Za-z]\w*(?:-\d\w*)*", re.ASCII)
 
 
 def numbered_values(value: Any, names: Sequence[str]) -> Any:

@@ -6,10 +6,14 @@ import json
 import re
 from typing import Any
 
+import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fleet.analysis import punctuality as timing
-from fleet.result.result import Timing
+from fleet.result.result import Punctual, Spread, Timing
+from netem.histogram import Histogram
 
 TIMES = {"count": 100, "negative": 0, "p50_ms": 1.0, "p95_ms": 1.0, "p99_ms": 1.0, "max_ms": 1.0, "histogram_ms": []}
 KEPT_UP = {
@@ -75,3 +79,32 @@ def test_the_verdict_tolerates_what_was_asked_for() -> None:
     assert not timing.verdict(some, 0.005).passed
     assert timing.verdict(some, 0.01).found.startswith("degraded: agent 2 missed")
     assert not timing.verdict(worse("world.slipped_s", 1.0), 0.01).passed
+
+
+# --- of the relay
+
+
+def spread(count: int, late: int) -> Spread:
+    """So many times, of which some are a second."""
+    found = Histogram()
+    for number in range(count):
+        found.add(10**9 if number < late else 1000)
+    return msgspec.convert(found.to_values(), Spread)
+
+
+def test_two_late_probes_of_few_fail_nothing() -> None:
+    """A run of 25 s in which no message was late."""
+    verdict = timing.punctual(Punctual(spread(100, 0), spread(100, 2)), None)
+    assert (verdict.passed, verdict.found[:30]) == (True, "1.00% of this process, at leas")
+    assert timing.punctual(Punctual(spread(10, 0), spread(100, 2)), None).passed
+    assert not timing.punctual(Punctual(spread(100, 20), spread(100, 0)), None).passed
+    assert timing.punctual(Punctual(spread(0, 0), spread(0, 0)), None).passed
+
+
+@given(st.integers(1, 10**6), st.data())
+def test_the_lower_end_is_that_of_wilson(count: int, data: st.DataObject) -> None:
+    from scipy.stats import binomtest
+
+    hits = data.draw(st.integers(0, count))
+    expected = binomtest(hits, count).proportion_ci(0.95, method="wilson").low
+    assert timing.wilson_low(hits, count) == pytest.approx(expected, abs=1e-6)

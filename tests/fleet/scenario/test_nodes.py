@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 import fleet
 from fleet.analysis.preflight import warnings
@@ -55,6 +57,36 @@ def test_names_stand_where_numbers_do() -> None:
     assert found.link_name((2, 3)) == "b->shore"
 
 
+def test_names_may_have_dashes() -> None:
+    names = ("auv", "auv-1", "auv-10", "b", "ship-a-2")
+    nodes = {name: {"listen": f"tcp/127.0.0.1:{port}"} for port, name in enumerate(names, start=1)}
+    nodes["b"] = {"udp": {"9000": "auv-1:9100"}}
+    found = scenario(
+        nodes=nodes,
+        graph={"edges": ["auv-1-auv-10", "auv->ship-a-2", "ship-a-2<->b", "b->auv-1"]},
+        network={"links": {"auv-1<->auv-10": "loss 10%", "auv->*": "delay 1s"}},
+        faults=[{"at": "1 s", "for": "1 s", "partition": "auv-1,auv / auv-10"}],
+    )
+    assert set(found.graph.links) == {(2, 3), (3, 2), (1, 5), (5, 4), (4, 5), (4, 2)}
+    assert (found.conditions[3, 2].loss, found.conditions[1, 5].delay_ns) == (0.1, 10**9)
+    assert {(2, 3), (3, 2)} <= set(found.faults.network[0].links)
+    assert parse_scenario(found.to_yaml(), "again.yaml") == found
+
+
+_names = st.from_regex(r"[a-c](-?[a-c1-2]){0,3}", fullmatch=True)
+
+
+@given(st.lists(_names, min_size=2, max_size=6, unique=True), st.data())
+def test_a_selector_of_names_with_dashes_means_what_numbers_do(names: list[str], data: st.DataObject) -> None:
+    numbers = data.draw(st.lists(st.integers(1, len(names)), min_size=2, max_size=4))
+    joints = data.draw(st.lists(st.sampled_from(["->", "<->", ",", " / ", ", "]), min_size=3, max_size=3))
+    text = "".join(f"{{{n}}}{joint}" for n, joint in zip(numbers, [*joints, ""], strict=False)).rstrip("->,/< ")
+    with_names = re.sub(r"{(\d)}", lambda found: names[int(found[1]) - 1], text)
+    with_numbers = re.sub(r"[{}]", "", text)
+    assert numbered(with_names, names) == with_numbers
+    assert named(with_numbers, names) == with_names
+
+
 @pytest.mark.parametrize(
     ("wrong", "key"),
     [({"listem": "tcp/127.0.0.1:1"}, "nodes.a.listem"), (5, "nodes.a"), ({"listen": 7561}, "nodes.a.listen")],
@@ -101,15 +133,28 @@ def test_without_an_end_it_runs_until_it_is_stopped() -> None:
         ({"nodes": {**NODES, "b": {"listen": "tcp/127.0.0.1:1"}}}, "a has the address tcp/127.0.0.1:1, too"),
         ({"nodes": {**NODES, "b": {}}}, "has no address: give listen, connect or udp"),
         ({"nodes": {**NODES, "b": {"listen": "127.0.0.1:1"}}}, "expected an address of zenoh"),
-        ({"nodes": {**NODES, "b-1": {"listen": "tcp/127.0.0.1:4"}}}, "expected a name of letters, digits and _"),
+        *(
+            ({"nodes": {**NODES, name: {"listen": "tcp/127.0.0.1:4"}}}, "expected a name of letters, digits, _ and -")
+            for name in ("1b", "b-", "b--1", "-b", "b.1", "b 1", "all", "link", "run", "faults", "b" * 33)
+        ),
+        ({"graph": {"edges": ["a-1->b"]}}, "there is no node a-1"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "e:9100"}}}}, "there is no other node e"),
         ({"nodes": {**NODES, "d": {"udp": {"90000": "a:9100"}}}}, "expected a port from 1 to 65535"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "a"}}}}, "a sends nothing to d"),
+        ({"nodes": {**NODES, "d": {"udp": {"9000": "a:[::1]:9100"}}}}, "datagrams go to addresses of IPv4"),
+        ({"nodes": {**NODES, "d": {"udp": {"9000": "a:::1:9100"}}}}, "expected a node and the port of its program"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "a:1", "9001": "a:2"}}}}, "the link d->a has a port already"),
     ],
 )
 def test_a_mistake_is_told(sections: dict[str, Any], expected: str) -> None:
     assert expected in mistakes(**sections)
+
+
+def test_a_topic_that_says_a_place_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = {**NODES, "a": {"listen": "tcp/127.0.0.1:1", "place": {"topic": "a/odom"}}}
+    scenario(nodes=nodes)
+    monkeypatch.setattr("fleet.scenario.rules.nodes.find_spec", lambda name: None)
+    assert mistakes(nodes=nodes).endswith("a topic needs the extra ros2; pip install 'uuv-fleet[ros2]'")
 
 
 def test_studies_and_runs_of_vehicles_refuse_it() -> None:

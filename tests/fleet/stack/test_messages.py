@@ -49,6 +49,28 @@ def test_another_type_or_other_bytes_are_refused() -> None:
         place_of(key("auv1/pose", POSE), b"\x00\x01\x00\x00abc")
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e308, -1.1e9])
+@pytest.mark.parametrize("where", range(5))
+def test_a_place_that_is_not_finite_is_refused(value: float, where: int) -> None:
+    """As that of a filter that has not begun; in water it ended the run."""
+    said = [1.0, 2.0, 3.0, 0.0, 1.0]
+    said[where] = value
+    with pytest.raises(FleetError, match="is not finite, or beyond 1e"):
+        place_of(key("auv1/pose", POSE), pose(*said))
+
+
+def test_without_the_extra_a_message_has_its_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ended a live network."""
+    name = key("auv1/pose", POSE)
+    monkeypatch.setattr("fleet.logs.dataset.find_spec", lambda name: None)
+    log = LogFile(tmp_path / "run.mcap")
+    MessageLog(log, 1_000_000, ("auv1",)).write(Said(5, 1, name, "put", "application/cdr", b"abc"))
+    log.close()
+    reader = LogReader(tmp_path / "run.mcap")
+    assert [bytes(record.data) for record in reader] == [b"abc"]
+    assert [channel.message_encoding for channel in reader.channels.values()] == ["application/cdr"]
+
+
 def test_a_known_type_has_its_schema_and_others_their_encoding(tmp_path: Path) -> None:
     log = LogFile(tmp_path / "run.mcap")
     messages = MessageLog(log, 1_000_000, ("auv1", "auv2"))

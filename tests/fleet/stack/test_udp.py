@@ -13,6 +13,9 @@ from free_ports import free_port
 from stacks import Stack
 from waiting import wait_for
 
+from netem.errors import BusError
+from netem.relay_process import _address
+
 LIMIT_S = 60.0
 
 
@@ -62,6 +65,24 @@ def test_a_program_whose_port_nobody_knows_gets_answers_where_it_sends_from(sea:
     assert (data, port) == (b"here", sea.ours["shore"])
     shore.sendto(b"order", ("127.0.0.1", port))
     assert wait_for(lambda: received(asv), LIMIT_S, "the order") == (b"order", sea.ours["asv"])
+
+
+def test_another_program_does_not_take_the_place_of_one_that_speaks(sea: Sea) -> None:
+    """One datagram of any user of the machine did."""
+    shore, asv = sea.programs["shore"], sea.programs["asv"]
+    with program() as stranger:
+        for name, at in (("first", asv), ("other", stranger)):
+            at.sendto(name.encode(), ("127.0.0.1", sea.ours["asv"]))
+            assert wait_for(lambda: received(shore), LIMIT_S, "what it says") == (name.encode(), sea.ours["shore"])
+        shore.sendto(b"order", ("127.0.0.1", sea.ours["shore"]))
+        assert wait_for(lambda: received(asv), LIMIT_S, "the order") == (b"order", sea.ours["asv"])
+        assert received(stranger) is None
+
+
+def test_a_host_is_looked_up_at_the_start() -> None:
+    assert _address("127.0.0.1") == "127.0.0.1"
+    with pytest.raises(BusError, match=r"datagrams cannot go to no\.such\.host\.invalid: "):
+        _address("no.such.host.invalid")
 
 
 def test_datagrams_go_both_ways_and_an_answer_to_where_they_came_from(sea: Sea) -> None:

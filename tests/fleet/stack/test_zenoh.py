@@ -340,8 +340,7 @@ def test_a_relay_that_is_killed_leaves_a_whole_log(linked: Stack) -> None:
 
 @pytest.mark.slow
 def test_a_storm_of_tokens_and_a_huge_payload_leave_the_others_alone(tmp_path: Path) -> None:
-    strict = {"punctual": {"late": "20 ms"}}
-    with Stack(tmp_path, nodes=TWO, log={"payloads": "yes"}, checks=strict).begun() as stack:
+    with Stack(tmp_path, nodes=TWO, log={"payloads": "yes"}).begun() as stack:
         with stack.program("auv1") as one, stack.program("auv2") as two:
             samples = Heard(two)
             reaches(one, samples)
@@ -354,4 +353,4 @@ def test_a_storm_of_tokens_and_a_huge_payload_leave_the_others_alone(tmp_path: P
             one.put("a/b", "still there")
             wait_for(lambda: samples, LIMIT_S, "the next")
             del tokens
-        stack.end(1)  # handing 50 MB over takes longer than `punctual` allows, and it says so
+        stack.end()

@@ -1,0 +1,154 @@
+"""The process of the relay with robots that are no sessions: who is slow delays nobody else, and every token counts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from multiprocessing import Pipe
+from queue import SimpleQueue
+from threading import Event, Thread
+from time import monotonic_ns
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from waiting import wait_for
+
+from netem import relay_process
+from netem.config import NetemConfig
+from netem.fault_kinds import Cause
+from netem.relay import DATAGRAM, PUT, Carried, RobotMessage
+from netem.relay_process import Port, RelayProcess, RelayReport, Setup
+from netem.wire.outlet import MOST_BYTES, Outlet
+from netem.wire.robots import Meeting, Token
+
+LIMIT_S = 60.0
+NAMES = ("talker", "slow", "fast")
+SIZE = 1 << 20
+
+
+class Robot:
+    """Keeps what is handed to it, and shows tokens. One that is called slow takes nothing until `goes` is set."""
+
+    goes = Event()
+
+    def __init__(self, access: Meeting, carry: tuple[str, ...], put: Any) -> None:
+        self.number, self.name, self.outlet = access.number, access.name, Outlet()
+        self.stayed: Counter[str] = Counter()
+        self.matched = {0}
+        self.routers: list[str] = []
+        self.taken: list[RobotMessage] = []
+        self.shown: set[str] = set()
+
+    def begin(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.outlet.close()
+
+    def carries(self, token: str) -> bool:
+        return True
+
+    def mirror(self, token: str) -> None:
+        self.shown.add(token)
+
+    def withdraw(self, token: str) -> None:
+        self.shown.discard(token)
+
+    def hand(self, message: RobotMessage, payload: bytes) -> None:
+        if self.name == "slow":
+            self.goes.wait(LIMIT_S)
+        self.taken.append(message)
+
+
+class Served:
+    """A process that serves on a thread, and what it tells the console."""
+
+    def __init__(self, links: list[tuple[int, int]], ports: tuple[Port, ...] = ()) -> None:
+        numbers = (1, 2, 3)
+        config = NetemConfig(
+            seed=1, tick_ns=1_000_000, round_ticks=100, vehicles=numbers, links=tuple(links), conditions={}
+        )
+        meetings = tuple(Meeting(i, NAMES[i - 1], listen="tcp/none") for i in numbers)
+        self.console, theirs = Pipe()
+        self.queue: SimpleQueue[Any] = SimpleQueue()
+        self.process = RelayProcess(theirs, Setup(config, meetings, ("**",), ports), self.queue)
+        self.robots: Any = self.process._robots
+        self.thread = Thread(target=self.process.serve, args=(monotonic_ns(),), daemon=True)
+        self.thread.start()
+
+    def end(self) -> tuple[list[Carried], RelayReport]:
+        """All fates, and the last report."""
+        self.console.send_bytes(msgspec.msgpack.encode({"op": "close"}))
+        fates: list[Carried] = []
+        while True:
+            report = msgspec.msgpack.decode(self.console.recv_bytes(), type=RelayReport)
+            fates += report.fates
+            if report.closing is not None:
+                return fates, report
+
+
+@pytest.fixture(autouse=True)
+def robots(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(relay_process, "Robot", Robot)
+    monkeypatch.setattr(relay_process.robots, "read", lambda item: item)
+    Robot.goes.clear()
+    yield
+    Robot.goes.set()
+
+
+def put(src: int, payload: bytes) -> RobotMessage:
+    return RobotMessage(src, PUT, "a/b", payload, monotonic_ns())
+
+
+def test_a_robot_that_takes_nothing_delays_no_other_one() -> None:
+    """It keeps as much waiting as fits, and loses the rest; the result names it, and the host was in time."""
+    count, fit = 100, MOST_BYTES // SIZE
+    served = Served([(1, 2), (1, 3)])
+    for number in range(count):
+        served.queue.put(put(1, bytes([number]) * SIZE))
+        wait_for(lambda n=number: len(served.robots[3].taken) > n, LIMIT_S, "it at the fast one")  # type: ignore[misc]
+    assert not served.robots[2].taken
+    fates, report = served.end()
+    causes = Counter((fate.dst, fate.cause) for fate in fates)
+    assert causes == {
+        (3, Cause.DELIVERED): count, (2, Cause.RECEIVER): count - fit, (2, Cause.IN_FLIGHT): fit,
+    }  # fmt: skip
+    assert any(note.startswith("slow kept messages") and f"{count - fit} were not" in note for note in report.notes)
+    assert report.closing is not None
+    assert report.closing["late"]["count"] == count
+
+
+def test_a_datagram_that_the_system_refuses_or_that_has_no_receiver_is_not_delivered() -> None:
+    port, other = Port(1, 0, 3, "127.0.0.1", 9), Port(3, 0, 1, "127.0.0.1", 0)
+    served = Served([(1, 3), (3, 1)], (port, other))
+    served.queue.put(RobotMessage(1, DATAGRAM, "udp/0", bytes(100_000), monotonic_ns(), port, 3))  # too long
+    served.queue.put(RobotMessage(3, DATAGRAM, "udp/0", b"x", monotonic_ns(), other, 1))  # it never spoke
+    served.queue.put(RobotMessage(1, DATAGRAM, "udp/0", b"x", monotonic_ns(), port, 3))
+    served.queue.put(put(1, b"last"))
+    wait_for(lambda: served.robots[3].taken, LIMIT_S, "the last")
+    fates, _ = served.end()
+    found = [(fate.src, fate.cause) for fate in fates if fate.kind == DATAGRAM]
+    assert sorted(found) == [(1, Cause.DELIVERED), (1, Cause.RECEIVER), (3, Cause.RECEIVER)]
+
+
+_EVENTS = st.lists(st.tuples(st.integers(1, 3), st.sampled_from("ab"), st.booleans()), max_size=20)
+
+
+@given(_EVENTS)
+def test_a_token_is_shown_where_a_robot_that_has_it_reaches(events: list[tuple[int, str, bool]]) -> None:
+    """However many robots have the same one, and in whatever order they go."""
+    links = [(1, 2), (1, 3), (2, 3), (3, 2)]
+    served, have = Served(links), dict[str, set[int]]()
+    Robot.goes.set()
+    for robot, key, alive in events:
+        served.queue.put(Token(robot, key, alive))
+        (have.setdefault(key, set()).add if alive else have.setdefault(key, set()).discard)(robot)
+    served.queue.put(put(1, b"last"))
+    wait_for(lambda: served.robots[2].taken and served.robots[3].taken, LIMIT_S, "the last")
+    for dst in (1, 2, 3):
+        expected = {key for key, robots in have.items() if any((src, dst) in links for src in robots)}
+        assert served.robots[dst].shown == expected
+    served.end()

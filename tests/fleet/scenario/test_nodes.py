@@ -152,6 +152,7 @@ def test_a_mistake_is_told(sections: dict[str, Any], expected: str) -> None:
 
 def test_a_topic_that_says_a_place_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = {**NODES, "a": {"listen": "tcp/127.0.0.1:1", "place": {"topic": "a/odom"}}}
+    monkeypatch.setattr("fleet.scenario.rules.nodes.find_spec", lambda name: name)
     scenario(nodes=nodes)
     monkeypatch.setattr("fleet.scenario.rules.nodes.find_spec", lambda name: None)
     assert mistakes(nodes=nodes).endswith("a topic needs the extra ros2; pip install 'uuv-fleet[ros2]'")

@@ -11,6 +11,7 @@ from live_directory import live_directory
 from tool import invoke
 
 from fleet.cli.documents.logs import Runs
+from netem.errors import BusError
 
 HOURS = {"pass": 1, "check_failed": 50, "broken": 100, "interrupted": 300}
 
@@ -34,6 +35,10 @@ def names(out: Path) -> set[str]:
 
 
 def test_ls(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def connect(*_: object, **__: object) -> None:
+        raise BusError("nobody is there")  # where the directory's console is not, at once
+
+    monkeypatch.setattr("netem.wire.bus.Bus.connect", connect)
     with live_directory(out, "rough-sea"):
         live, place, *lines = invoke("ls").stdout.splitlines()
         assert live.startswith("rough-sea-") and " pid " in place

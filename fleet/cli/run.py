@@ -290,6 +290,7 @@ def _print_failure(result: Result) -> None:
 @click.option("--duration", metavar="TIME", help="End after this time, e.g. '5 min'; else with Ctrl-C or fleet stop.")
 @OVERRIDES
 @disturbances
+@TRUST
 @click.option("--show-config", is_flag=True, help="Print the merged file and stop.")
 @click.option("--view", is_flag=True, help="Open a page in the browser that shows the run.")
 @json_option
@@ -323,7 +324,7 @@ def netem(
     from fleet.execution.options import Options
     from fleet.processes.children import start_forkserver
     from fleet.scenario.loading import load_scenario
-    from fleet.stack.lines import lines, warnings
+    from fleet.stack.lines import warnings
     from fleet.stack.run import RelayRun
 
     if not show_config:
@@ -336,8 +337,8 @@ def netem(
         click.echo(scenario.to_yaml(), nl=False)
         return
     if not quiet:
-        for line in [*(f"warning: {text}" for text in warnings(scenario)), *lines(scenario)]:
-            say(line, err=True)
+        for text in warnings(scenario):
+            say(f"warning: {text}", err=True)
     asked = Options(out, clock=Clock.REAL, quiet=quiet, publish=view, relay=RelayRun)
     _execute(scenario, asked, stderr(), view=view, ros2=False, junit=junit)
 

@@ -6,29 +6,36 @@ import os
 import pwd
 import re
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from fleet.analysis.link_shares import link_lines
 from fleet.scenario.scenario import Scenario, timeline_lines
-from fleet.scenario.schema.nodes import Node
+from fleet.scenario.schema.nodes import Node, without_address
 
 _LOOPBACK = ("127.", "localhost", "[::1]")
 _EVERY = re.compile(r"/(0\.0\.0\.0|\[::\])(?=:)")  # every address of this host
 _PEOPLE = range(1000, 60_000)  # the numbers of the accounts of people
 
 
-def lines(scenario: Scenario) -> Iterator[str]:
-    """For each node the address that its programs need, and how those of ROS 2 get it."""
+def lines(scenario: Scenario, found: Mapping[str, str] = MappingProxyType({})) -> Iterator[str]:
+    """For each node the address that its programs need, and how those of ROS 2 get it. `found`: the addresses of nodes
+    that say none; empty: they have none yet.
+    """
+    nodes = scenario.spec.nodes or {}
+    free = without_address(nodes)
     width = max(map(len, scenario.nodes))
-    for name, node in (scenario.spec.nodes or {}).items():
-        for said in _of(node):
+    for name, node in nodes.items():
+        if name in free and name not in found:
+            yield f"{name:{width}}  gets a free port of this host, which fleet netem tells"
+        for said in _of(node, found.get(name, "")):
             yield f"{name:{width}}  {said}"
 
 
-def _of(node: Node) -> Iterator[str]:
-    if node.listen:
-        address = _EVERY.sub(f"/{socket.gethostname()}", node.listen)
+def _of(node: Node, found: str) -> Iterator[str]:
+    if listen := node.listen or found:
+        address = _EVERY.sub(f"/{socket.gethostname()}", listen)
         yield f"""export ZENOH_CONFIG_OVERRIDE='connect/endpoints=["{address}"]'"""
     elif node.connect:
         yield f"joins the router at {node.connect}"
@@ -51,7 +58,8 @@ def warnings(scenario: Scenario) -> Iterator[str]:
                 f"{name} listens on {node.listen} for other machines, and the port has no password; "
                 "give it a file of zenoh's configuration (zenoh: FILE.json5) with TLS and users"
             )
-    here += [name for name, node in nodes if node.udp and name not in here]
+    free = without_address(dict(nodes))
+    here += [name for name, node in nodes if (node.udp or name in free) and name not in here]
     if here and (others := _other_people()):
         who = f"other users of this machine ({', '.join(others)})"
         hint = "listen on unixsock-stream/PATH in a folder of yours, or use zenoh's users"

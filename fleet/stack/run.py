@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing import Pipe
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic_ns
+from types import MappingProxyType
 from typing import Any
 
 import msgpack
@@ -23,11 +24,13 @@ from fleet.execution.directory import RunDirectory
 from fleet.execution.operator import Operator
 from fleet.execution.runner import Closing
 from fleet.processes.children import Children, Exit, RunFolder, describe_exit
+from fleet.processes.limits import free_port
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.nodes import TopicPlace, udp_target
+from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
 from fleet.scenario.sections.timeline import Kill
+from fleet.stack.lines import lines
 from fleet.stack.messages import MessageLog, place_of
 from netem import relay_process
 from netem.errors import MalformedMessage
@@ -52,8 +55,10 @@ LEAD_NS = 20_000_000  # a fault that is injected begins so much later, so that t
 LOST_AFTER_NS = 10_000_000_000
 
 
-def setup_of(scenario: Scenario, folder: Path | None) -> Setup:
-    """The settings of the relay of a scenario with nodes. `folder`: where a node's file of zenoh is looked for."""
+def setup_of(scenario: Scenario, folder: Path | None, found: Mapping[str, str] = MappingProxyType({})) -> Setup:
+    """The settings of the relay of a scenario with nodes. `folder`: where a node's file of zenoh is looked for.
+    `found`: the addresses of nodes that say none.
+    """
     spec, here = scenario.spec, folder or Path()
     nodes = list(enumerate((spec.nodes or {}).values(), start=1))
     names, ports = scenario.nodes, []
@@ -67,7 +72,11 @@ def setup_of(scenario: Scenario, folder: Path | None) -> Setup:
         config=scenario.netem_config,
         robots=tuple(
             Meeting(
-                i, names[i - 1], node.listen or "", node.connect or "", str(here / node.zenoh) if node.zenoh else ""
+                i,
+                names[i - 1],
+                node.listen or found.get(names[i - 1], ""),
+                node.connect or "",
+                str(here / node.zenoh) if node.zenoh else "",
             )
             for i, node in nodes
         ),
@@ -105,6 +114,7 @@ class RelayRun:
         self._requests: SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = SimpleQueue()
         self._pipe, self._theirs = Pipe()
         self._begin_ns = 0
+        self._found: dict[str, str] = {}  # by node that says none: the address where its programs meet us
         self._places = {i: (*plan.start, 0.0, 0.0) for i, plan in enumerate(scenario.plans, start=1)}
         self.started_s, self.middleware_lost = 0.0, 0
         self.closing = Closing()
@@ -139,7 +149,9 @@ class RelayRun:
             folder.close()
 
     def _start(self, progress: Callable[[], None]) -> None:
-        setup = setup_of(self._scenario, self._scenario.reading.folder)
+        free = without_address(self._scenario.spec.nodes or {})
+        self._found = {name: f"tcp/127.0.0.1:{free_port(None)}" for name in free}
+        setup = setup_of(self._scenario, self._scenario.reading.folder, self._found)
         title = f"fleet {RELAY} [{self._scenario.name}]"
         log = self._directory.process_log(RELAY)
         self.waiting = "opening the sessions of the nodes"
@@ -156,6 +168,8 @@ class RelayRun:
         if problem := self._received().decode():
             raise RunBroken(problem)
         self.waiting = ""
+        for line in lines(self._scenario, self._found):  # not before: a program that comes too early is refused
+            self._print(line)
 
     def _admit(self, folder: RunFolder) -> Bus:
         """Let commands reach this run, as those of vehicles."""
@@ -164,8 +178,12 @@ class RelayRun:
         bus = Bus.host(folder.endpoint, self._keys, (), credentials, folder.path)
         bus.answer(f"{self._keys.op}/*", lambda _, data, respond: self._requests.put((data, respond)))
         bus.token(self._keys.alive(CONSOLE))
+        nodes = (self._scenario.spec.nodes or {}).items()
+        addresses = {name: node.listen or node.connect or self._found.get(name, "") for name, node in nodes}
         reached = {"endpoint": folder.endpoint, "run": self._keys.run, "scenario": self._scenario.name}
-        self._directory.write_connection({**reached, "pid": os.getpid(), **credentials[OPERATOR].to_values()})
+        told = {name: address for name, address in addresses.items() if address}
+        own = {"pid": os.getpid(), "nodes": told, **credentials[OPERATOR].to_values()}
+        self._directory.write_connection({**reached, **own})
         return bus
 
     def _record(self, operator: Operator, progress: Callable[[], None]) -> None:

@@ -7,7 +7,7 @@ from typing import get_args
 
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
-from fleet.scenario.schema.nodes import TopicPlace, udp_target
+from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
 from fleet.scenario.sections.timeline import action
 from netem.fault_kinds import FaultKind
 from netem.parsing import nearest
@@ -31,11 +31,11 @@ def nodes(parts: Parts, report: Report) -> None:
     _addresses(parts, report)
     _ports(parts, report)
     _keys(parts, report)
-    water = spec.network.acoustic is not None
+    water, free = spec.network.acoustic is not None, without_address(spec.nodes)
     for name, node in spec.nodes.items():
         if water and node.place is None:
             report.add(("nodes", name), "has no place, and sound needs one", "place: 0 0 10 m, or a topic that says it")
-        if isinstance(node.place, TopicPlace) and not (node.listen or node.connect):
+        if isinstance(node.place, TopicPlace) and not (node.listen or node.connect or name in free):
             report.add(("nodes", name, "place"), "a topic needs listen or connect")
         if isinstance(node.place, TopicPlace) and not all(map(find_spec, ("rosbags", "xxhash"))):
             report.add(("nodes", name, "place"), "a topic needs the extra ros2", "pip install 'uuv-fleet[ros2]'")
@@ -74,19 +74,17 @@ def contents(parts: Parts, report: Report) -> None:
 def _addresses(parts: Parts, report: Report) -> None:
     spec, taken = parts.spec, dict[str, str]()
     assert spec.nodes is not None
-    receives = {text.partition(":")[0] for node in spec.nodes.values() for text in node.udp.values()}
+    free = without_address(spec.nodes)
     for name, node in spec.nodes.items():
         path = ("nodes", name)
         if node.listen and node.connect:
             report.add(path, "listens and connects: give one of them")
-        if not (node.listen or node.connect or node.udp or name in receives):
-            report.add(path, "has no address: give listen, connect or udp", "listen: tcp/127.0.0.1:7501")
         address = node.listen or node.connect
         if address and (first := taken.setdefault(address, name)) != name:
             report.add(
                 path, f"{first} has the address {address}, too; what one sends would come back through the other"
             )
-        if node.zenoh and not (node.listen or node.connect):
+        if node.zenoh and not (node.listen or node.connect or name in free):
             report.add((*path, "zenoh"), "has no effect without listen or connect", key=True)
 
 

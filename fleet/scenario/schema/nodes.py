@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
@@ -77,6 +78,12 @@ class Node(Section):
     # Datagrams to our port leave for a program of another node: "9000": auv2:9100, or auv2:HOST:9100, or auv2.
     udp: dict[Annotated[str, BeforeValidator(_port)], Annotated[str, BeforeValidator(_target)]] = {}
     place: TopicPlace | v.Position | None = None  # NED; in ROS topics ENU
+
+
+def without_address(nodes: Mapping[str, Node]) -> list[str]:
+    """The nodes that say no address. Each gets a router of ours at a free port of this host."""
+    receives = {text.partition(":")[0] for node in nodes.values() for text in node.udp.values()}
+    return [name for name, node in nodes.items() if not (node.listen or node.connect or node.udp or name in receives)]
 
 
 NodeName = Annotated[str, BeforeValidator(_name)]

@@ -14,6 +14,7 @@ import pytest
 
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.nodes import without_address
 from fleet.stack.lines import lines, warnings
 
 
@@ -58,3 +59,13 @@ def test_ports_on_loopback_are_warned_of_if_other_people_use_the_machine(
     accounts(monkeypatch, ("bob", 1501, "/bin/bash"))
     (said,) = warnings(found)
     assert said.startswith("other users of this machine (bob) can hear the programs of a, d and speak for them: ")
+
+
+def test_a_node_that_says_no_address_gets_one() -> None:
+    """Not one that datagrams alone reach, or that sends them."""
+    found = scenario(a={}, b={"udp": {"9000": "c:9100"}}, c={}, d={"place": {"topic": "d/odom"}})
+    free = without_address(found.spec.nodes or {})
+    assert free == ["a", "d"]
+    assert [line.split()[0] for line in lines(found) if "gets a free port of this host" in line] == free
+    told = [*lines(found, {name: f"tcp/127.0.0.1:{k}" for k, name in enumerate(free, start=7000)})]
+    assert 'connect/endpoints=["tcp/127.0.0.1:7001"]' in told[-1] and not any("free port" in line for line in told)

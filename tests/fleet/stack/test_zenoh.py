@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
@@ -139,6 +140,11 @@ def test_a_query_is_two_packets_and_waits_when_one_is_lost(stack: Stack) -> None
         assert took >= 0.5
         wait_for(lambda: len(asked) > count, LIMIT_S, "the request, which came although the reply did not")
         del queryable
+
+
+def test_the_connection_file_has_the_addresses(stack: Stack) -> None:
+    found = json.loads((stack.directory / "connection.json").read_text())["nodes"]
+    assert {name: f"tcp/127.0.0.1:{port}" for name, port in stack.ports.items()}.items() <= found.items()
 
 
 def test_tokens_appear_at_neighbours_and_go(stack: Stack) -> None:
@@ -284,9 +290,10 @@ def netem(folder: Path, nodes: dict[str, Any], *options: str, **sections: Any) -
 
 
 def test_a_run_ends_at_its_planned_end(tmp_path: Path) -> None:
-    nodes = {name: {"listen": f"tcp/127.0.0.1:{free_port()}"} for name in TWO}
-    status, said = netem(tmp_path, nodes, "--duration", "200 ms")
+    """Nodes that say no address get one, and are told it."""
+    status, said = netem(tmp_path, {name: {} for name in TWO}, "--duration", "200 ms", "--trust")
     assert status == 0, said
+    assert len(set(re.findall(r"connect/endpoints=\[\"(tcp/127\.0\.0\.1:\d+)\"\]", said))) == 2, said
     directory = (tmp_path / "runs" / "latest").resolve()
     assert read_result(directory).ledger.keys() == {"auv1->auv2", "auv2->auv1"}
     assert max(record.log_ns for record in LogReader(directory / "run.mcap")) == 200_000_000

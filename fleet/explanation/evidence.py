@@ -158,6 +158,8 @@ def first_older(
     found: list[tuple[float, Link]] = []
     for link in set(links).intersection(log.links):
         topic = log[link_topic(link)]
+        if from_first_packet and not len(topic):
+            continue  # its age has not begun
         whole = (topic["fate"] == Cause.DELIVERED) & ~np.asarray(topic["corrupted"], bool)
         arrivals = sorted(zip(topic["due"][whole].tolist(), topic["sent"][whole].tolist(), strict=True))
         heard_s = arrived_s = float(topic["sent"].min()) if from_first_packet else log.begin

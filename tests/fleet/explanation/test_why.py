@@ -6,6 +6,7 @@ import json
 from contextlib import nullcontext
 from pathlib import Path
 from shutil import copytree
+from typing import Any
 
 import numpy as np
 import pytest
@@ -165,6 +166,26 @@ def test_an_age_fails_at_the_first_tick_at_which_it_is_too_old(
     found = first_older(log, [chosen], below * tick_s, after * tick_s, from_first_packet=from_first_packet)
     assert (None if found is None else round(found[0] / tick_s)) == expected
     assert found is None or found[1] == chosen
+
+
+@pytest.mark.parametrize(("from_first_packet", "found"), [(True, None), (False, (1.0, (1, 2)))])
+def test_the_age_of_a_link_without_a_packet(from_first_packet: bool, found: tuple[float, Any] | None) -> None:
+    """Of nodes it has not begun, of vehicles it counts from the beginning."""
+
+    class Quiet:
+        """A log in which the link carries nothing."""
+
+        links, begin, end = ((1, 2),), 0.0, 5.0
+
+        def __getitem__(self, topic: str) -> Any:
+            return columns
+
+    class Columns(dict[str, Any]):
+        def __missing__(self, field: str) -> Any:
+            return np.array([], float)
+
+    columns, log = Columns(), Quiet()
+    assert first_older(log, [(1, 2)], 1.0, 0.0, from_first_packet=from_first_packet) == found  # type: ignore[arg-type]
 
 
 def test_a_check_that_is_not_there_is_said_before_anything_is_run(small_log: Path) -> None:

@@ -78,6 +78,12 @@ def place_of(path: Path) -> str:
     return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else ""
 
 
+def pytest_runtest_setup() -> None:
+    """A pool of processes has this variable set for its children, and programs of a test later in the same process would
+    not find their own folder."""
+    os.environ.pop("PYTHONSAFEPATH", None)
+
+
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
     """Leave out the tests of an extra that is not installed; the summary names it."""
     return True if extra_of(place_of(collection_path)) in LEFT_OUT else None

@@ -163,9 +163,9 @@ def first_older(
         whole = (topic["fate"] == Cause.DELIVERED) & ~np.asarray(topic["corrupted"], bool)
         arrivals = sorted(zip(topic["due"][whole].tolist(), topic["sent"][whole].tolist(), strict=True))
         heard_s = arrived_s = float(topic["sent"].min()) if from_first_packet else log.begin
-        for due_s, sent_s in [*arrivals, (log.end, inf)]:
+        for due_s, sent_s in [*arrivals, (inf, inf)]:
             broken_s = max(heard_s + below_s, arrived_s, after_s)
-            if broken_s < due_s - 1e-9:
+            if broken_s < due_s - 1e-9 and broken_s <= log.end + 1e-9:
                 found.append((broken_s, link))
                 break
             heard_s, arrived_s = max(heard_s, sent_s), due_s

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from in_process_runs import recorded as run
 from msgspec import structs
@@ -150,6 +150,7 @@ def test_a_sender_that_stopped_comes_before_random_losses(tmp_path: Path) -> Non
 
 
 @given(st.integers(0, 8), st.integers(1, 30), st.integers(0, 60), st.booleans())
+@example(0, 1, 59, False)  # in the last sample
 def test_an_age_fails_at_the_first_tick_at_which_it_is_too_old(
     small_lossy: Log, link: int, below: int, after: int, from_first_packet: bool
 ) -> None:

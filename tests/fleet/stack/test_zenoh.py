@@ -210,7 +210,7 @@ def passed(stack: Stack) -> Passed:
         own = {"encoding": "text/plain", "attachment": b"beside", "priority": zenoh.Priority.REAL_TIME}
         one.put("auv1/fleet/a", "hello", express=True, **own)
         one.delete("auv1/fleet/a")
-        wait_for(lambda: len(there) == 2, LIMIT_S, "two messages")
+        wait_for(lambda: len(there) == 2 and len(here) == 3, LIMIT_S, "its messages, there and at their sender")
         return Passed(list(here), list(there), list(far))
 
 

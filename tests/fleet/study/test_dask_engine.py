@@ -100,7 +100,7 @@ def test_laws_travel_and_a_worker_of_a_cluster_that_is_killed_costs_no_run(
     with ExitStack() as stack:
         where = ["--scheduler-file", str(file)]
         stack.enter_context(started("dask_scheduler", *where, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"))
-        wait_for(file.exists, LIMIT_S, "the scheduler")
+        wait_for(lambda: file.exists() and file.read_text("utf-8").strip().endswith("}"), LIMIT_S, "the scheduler")
         own = [*where, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(tmp_path)]
         workers = [stack.enter_context(started("dask_worker", *own, folder=far)) for _ in range(2)]
         engine = stack.enter_context(dask_engine(json.loads(file.read_text("utf-8"))["address"]))

@@ -79,8 +79,8 @@ def place_of(path: Path) -> str:
 
 
 def pytest_runtest_setup() -> None:
-    """A pool of processes has this variable set for its children, and programs of a test later in the same process would
-    not find their own folder."""
+    """A pool of processes sets this variable for its children. Programs that a later test starts would not find what
+    lies in their own folder."""
     os.environ.pop("PYTHONSAFEPATH", None)
 
 

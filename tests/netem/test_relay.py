@@ -277,7 +277,7 @@ def test_what_is_still_held_at_the_end_is_in_flight() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.integers(1, 3), st.sampled_from(["takes", "refuses", "keeps"])), max_size=20),
+    st.lists(st.tuples(st.integers(1, 3), st.sampled_from(["takes", "refuses", "keeps"])), max_size=8),
     st.booleans(),
 )
 def test_delivered_is_what_was_handed_over(sent: list[tuple[int, str]], in_water: bool) -> None:

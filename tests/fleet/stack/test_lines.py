@@ -63,7 +63,7 @@ def test_ports_on_loopback_are_warned_of_if_other_people_use_the_machine(
 
 def test_a_node_that_says_no_address_gets_one() -> None:
     """Not one that datagrams alone reach, or that sends them."""
-    found = scenario(a={}, b={"udp": {"9000": "c:9100"}}, c={}, d={"place": {"topic": "d/odom"}})
+    found = scenario(a={}, b={"udp": {"9000": "c:9100"}}, c={}, d={})
     free = without_address(found.spec.nodes or {})
     assert free == ["a", "d"]
     assert [line.split()[0] for line in lines(found) if "gets a free port of this host" in line] == free

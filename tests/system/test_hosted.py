@@ -31,6 +31,7 @@ def shared_run(out: Path, *overrides: str, per_process: int = 3) -> Result:
     return recorded(out, "paper", CHECKS, *overrides, f"agents.per_process={per_process}", in_process=False)
 
 
+@pytest.mark.slow  # the table of the same bytes has a hosted run
 def test_the_same_bytes_as_in_one_process_and_as_with_one_each(tmp_path: Path, alone: Alone) -> None:
     """Twelve agents of which two end, while others of the same process go on. Other mechanisms: test_same_bytes.py."""
     overrides = ("duration=1.6 s", "vehicles=12", "graph.shape=ring", "network.period=10 ms", KILLED)

@@ -95,6 +95,7 @@ def test_two_states_are_found_again_and_the_entry_can_be_pasted() -> None:
     assert pasted.conditions == found.conditions
 
 
+@pytest.mark.slow  # as two states
 def test_three_states_are_found_again() -> None:
     found = link_fit.fit(trace_of(states_of(THREE), 6_000, 2 * SECOND), 3)
     assert found.lag < 0.01

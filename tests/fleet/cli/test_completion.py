@@ -12,6 +12,7 @@ from tool import invoke
 
 from fleet.cli.main import cli
 from fleet.scenario.loading import load_scenario
+from netem.errors import BusError
 
 
 def offered(monkeypatch: pytest.MonkeyPatch, *words: str, shell: str = "zsh") -> list[str]:
@@ -40,6 +41,10 @@ def test_words_that_need_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_targets_are_those_of_the_run(live: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def connect(*_: object, **__: object) -> None:
+        raise BusError("nobody is there")  # at once, where a session would try for 2 s
+
+    monkeypatch.setattr("netem.wire.bus.Bus.connect", connect)
     assert offered(monkeypatch, "status", "--run", "p") == [live]
     assert offered(monkeypatch, "inject", "kill", "") == ["1", "2", "3"]
     assert offered(monkeypatch, "inject", "down", "2") == ["2->1", "2->3", "2<->3"]

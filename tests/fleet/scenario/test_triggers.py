@@ -92,7 +92,7 @@ BOTH = LEADS % ("", "for: 4 s, wait: 200 ms,") + LEADS % ("", "nth: 2, for: 1 s,
 
 
 @pytest.mark.parametrize("seed", [1, *slow(2, 3)])
-@pytest.mark.parametrize("changes", [(), ("tick=50 ms", "log={every: 2 ticks}", "network.period=200 ms")])
+@pytest.mark.parametrize("changes", [(), *slow((("tick=50 ms", "log={every: 2 ticks}", "network.period=200 ms"),))])
 def test_the_run_is_that_of_the_faults_at_their_times(seed: int, changes: tuple[str, ...]) -> None:
     """In the emulator and in a bare run; and the faults are those that the log of the run has."""
     scenario = election(BOTH, f"seed={seed}", *changes)

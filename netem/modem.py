@@ -113,7 +113,7 @@ class AcousticConfig:
     guard_ns: int = DEFAULT_GUARD_NS  # tdma: of each slot, kept silent for propagation
     buffer: int = 1  # payloads that wait in a modem
     sound_speed: float = SOUND_SPEED  # m/s
-    water: propagation.Water | None = None  # that absorbs sound; None: Thorp's, of 4 deg C
+    water: propagation.SeaWater | None = None  # that absorbs sound; None: Thorp's, of 4 deg C
     spreading: float = 1.5  # 1 cylindrical, 1.5 practical, 2 spherical
     excess: float = 0.0  # dB, lost in addition to spreading and absorption
     shipping: float = 0.5  # 0 none, 1 heavy

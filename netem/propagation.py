@@ -54,7 +54,7 @@ _FREE_DISTANCE = 12
 PH = 8.0  # assumption: from 7.9 to 8.2, absorption changes by -2 to 5 % at 10 kHz and by 1 % at 25 kHz
 
 
-class Water(NamedTuple):
+class SeaWater(NamedTuple):
     """The properties of sea water that its speed of sound and its absorption depend on."""
 
     temperature: float  # deg C
@@ -62,14 +62,14 @@ class Water(NamedTuple):
     depth: float  # m
 
 
-def sound_speed(water: Water) -> float:
+def sound_speed(water: SeaWater) -> float:
     """Speed of sound in sea water [m/s], by Mackenzie."""
     T, S, D = water.temperature, water.salinity - 35.0, water.depth
     c = 1448.96 + 4.591 * T - 5.304e-2 * T * T + 2.374e-4 * T * T * T
     return c + 1.340 * S + 1.630e-2 * D + 1.675e-7 * D * D - 1.025e-2 * T * S - 7.139e-13 * T * D * D * D
 
 
-def absorption(f_khz: float, water: Water | None = None) -> float:
+def absorption(f_khz: float, water: SeaWater | None = None) -> float:
     """Absorption [dB/km] at a frequency, by Francois and Garrison; by Thorp if nothing is known of the water."""
     f2 = f_khz * f_khz
     if water is None:
@@ -90,7 +90,7 @@ def absorption(f_khz: float, water: Water | None = None) -> float:
     return boric + sulphate * deep_sulphate + viscous * f2 * deep_water
 
 
-def transmission_loss(range_m: float, f_khz: float, spreading: float, water: Water | None = None) -> float:
+def transmission_loss(range_m: float, f_khz: float, spreading: float, water: SeaWater | None = None) -> float:
     """Transmission loss [dB] over a range: spreading and absorption."""
     if range_m <= 1.0:
         return 0.0

@@ -97,10 +97,9 @@ class Transit:
             end = release_tick(faults, link, all_held[0].packet.sent_tick)
             if end is not None and end <= until:
                 del self.held[link]
-                last = len(all_held)
-                order = sorted(range(last), key=lambda n: -n if all_held[n].reverse else last)
-                for n in order:
-                    self._set_free(all_held[n], max(end, earliest))
+                backwards = [held for held in reversed(all_held) if held.reverse]
+                for held in (*backwards, *(held for held in all_held if not held.reverse)):
+                    self._set_free(held, max(end, earliest))
 
     def _set_free(self, held: HeldPacket, end: int) -> None:
         packet, later = held.packet, held.later

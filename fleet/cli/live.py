@@ -291,9 +291,9 @@ MOST_EVENTS = 3
 def status(run: str | None, watch: bool, every: bool) -> None:
     """Show the state of a live run.
 
-    It prints the time, the processes that the run waits for, active faults with their ids, the fate of vehicles, and
-    the worst vehicles and links. "oldest data" is the age of the stalest message that a vehicle still relies on. e is
-    the consensus error. fleet info shows the log of a run.
+    It prints the time, the processes that the run waits for, and active faults with their ids. The fate of vehicles
+    follows, then the worst vehicles and links. "oldest data" is the age of the stalest message that a vehicle still
+    relies on. e is the consensus error. fleet info shows the log of a run.
 
     \b
     Examples:

@@ -53,9 +53,10 @@ class _Found(NamedTuple):
 
 
 def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
-    """The signals to draw if the user names none, at most MOST_UNASKED: those that a check names, and those of laws and
-    plants that a check in Python has read, without errors that have a picture of their own and signals that no log has.
-    Of moored vehicles it has those of their laws, too.
+    """The signals to draw if the user names none, at most MOST_UNASKED.
+
+    A check names some of them, and a check in Python has read others from laws and plants. Moored vehicles add the
+    signals of their laws. Errors that have a picture of their own are left out, and so are signals that no log has.
     """
     found = [
         name

@@ -1,9 +1,10 @@
 """`fleet export --traces` of a recording: what became of each message of a key, as a trace that links can follow.
 
-A recording shows what arrived. What did not arrive shows as a gap in the numbers that the sender counts with: those of
-rmw_zenoh's attachments, a field of JSON payloads, or the `sequence` of an MCAP file (`fleet record` counts arrivals
-there, so its own tells nothing). Without numbers a known period between two messages shows the gaps. The delay is the
-time of arrival minus that of sending, which is right if both clocks are.
+A recording has only the messages that arrived. If the sender counts its messages, a gap in their numbers shows a loss.
+The numbers are in the attachments of rmw_zenoh, in a field of JSON payloads, or in the `sequence` of an MCAP file.
+`fleet record` counts arrivals in `sequence`, so its own files need one of the others. If the sender does not count, a
+known period between two messages shows the gaps. The delay is the time of arrival minus the time of sending. It is
+right if both clocks are.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable
 _RESTARTED = 100  # a number so far below the highest is that of a sender that began anew, and no late message
 
 
-class Arrival(NamedTuple):
+class RecordedMessage(NamedTuple):
     """A message as a recording has it."""
 
     number: int | None  # the sender's; None: it tells none
@@ -91,7 +92,7 @@ def write_field_traces(
     return write_files(folder, texts, force=force)
 
 
-def trace_of(arrivals: Sequence[Arrival], numbers: Sequence[int], zero_ns: int) -> TraceTable:
+def trace_of(arrivals: Sequence[RecordedMessage], numbers: Sequence[int], zero_ns: int) -> TraceTable:
     """A row per message from the first that arrived to the last: the first copy, or that none arrived.
 
     Args:
@@ -103,7 +104,7 @@ def trace_of(arrivals: Sequence[Arrival], numbers: Sequence[int], zero_ns: int) 
         The trace, of MOST_ROWS messages at most. Times of lost messages are interpolated. Without times of sending
         there is no delay, and times are those of arrival.
     """
-    first_copies: dict[int, Arrival] = {}
+    first_copies: dict[int, RecordedMessage] = {}
     for number, arrival in zip(numbers, arrivals, strict=True):
         first_copies.setdefault(number, arrival)
     columns = ("time", "delivered", *(("delay",) if _stamped(arrivals) else ()))
@@ -141,12 +142,12 @@ def summary(table: TraceTable) -> str:
     return f"{text}; delay {median:.4g} ms (median), {late:.4g} ms (95 %)"
 
 
-def _stamped(arrivals: Sequence[Arrival]) -> bool:
+def _stamped(arrivals: Sequence[RecordedMessage]) -> bool:
     """Whether there are times of sending: without them both times are equal."""
     return any(arrival.sent_ns != arrival.at_ns for arrival in arrivals)
 
 
-def _doubts(arrivals: Sequence[Arrival], numbers: Sequence[int]) -> Iterator[str]:
+def _doubts(arrivals: Sequence[RecordedMessage], numbers: Sequence[int]) -> Iterator[str]:
     early = [arrival.sent_ns - arrival.at_ns for arrival in arrivals if arrival.sent_ns > arrival.at_ns]
     if early:
         yield (
@@ -157,7 +158,7 @@ def _doubts(arrivals: Sequence[Arrival], numbers: Sequence[int]) -> Iterator[str
         yield f"only the first {MOST_ROWS} of {total} messages, which is as many as a trace holds"
 
 
-def _numbers(arrivals: list[Arrival], period_ns: int | None) -> list[int] | None:
+def _numbers(arrivals: list[RecordedMessage], period_ns: int | None) -> list[int] | None:
     """The numbers of messages, without restarts; None: nothing tells them. Sorts by time if the period tells them."""
     told = [arrival.number for arrival in arrivals]
     found: list[int] = []
@@ -179,10 +180,12 @@ def _numbers(arrivals: list[Arrival], period_ns: int | None) -> list[int] | None
     return found
 
 
-def _arrivals(path: Path, selection: Selection, say: Callable[[str], None], tell: Tell) -> dict[str, list[Arrival]]:
+def _arrivals(
+    path: Path, selection: Selection, say: Callable[[str], None], tell: Tell
+) -> dict[str, list[RecordedMessage]]:
     """The messages of each key in the order of arrival; of each publisher, if several have numbers on one key."""
     reader = LogReader(path, tell)
-    found: dict[tuple[str, bytes], list[Arrival]] = {}
+    found: dict[tuple[str, bytes], list[RecordedMessage]] = {}
     beside: dict[str, tuple[int, bytes]] = {}  # the last attachment of each key, with the number of its message
     for block in reader.blocks():
         for channel, sequence, log_ns, publish_ns, data in block.messages():
@@ -199,7 +202,7 @@ def _arrivals(path: Path, selection: Selection, say: Callable[[str], None], tell
                     number, sent_ns, publisher = rmw.unpack(beside[topic][1])
             if selection.sequence is not None:
                 number = _field(data, selection.sequence)
-            found.setdefault((topic, publisher), []).append(Arrival(number, sent_ns, log_ns))
+            found.setdefault((topic, publisher), []).append(RecordedMessage(number, sent_ns, log_ns))
     if reader.missing:
         say(f"{path}: {reader.missing}")
     if reader.profile != PROFILE and selection.sequence is None and selection.period_ns is None:

@@ -33,8 +33,9 @@ _PASS = ("pass", "passed")
 
 
 def estimated(rows: Iterable[Row], column: MeasureColumn | None = None) -> Estimate:
-    """What some runs say of a column: the share that passed, if it is that of a check or none is given; else its
-    median."""
+    """Estimate a column from some runs. Without a column, or with that of a check, it is the share that passed. Any
+    other column gives its median.
+    """
     if column is None:
         passed = [row.passed for row in rows if row.passed is not None]
         return pass_rate(sum(passed), len(passed))

@@ -15,7 +15,7 @@ MOST_MESSAGES = 4096  # that wait for a robot
 MOST_BYTES = 64 << 20  # likewise; a longer message passes alone
 
 
-class Outcome(NamedTuple):
+class HandOver(NamedTuple):
     """What became of a message that an outlet took."""
 
     message: Any  # as it was offered
@@ -40,7 +40,7 @@ class Outlet:
         self._jobs: SimpleQueue[_Job | Callable[[], None] | None] = SimpleQueue()
         self._offered, self._offered_bytes = 0, 0  # one thread counts what it offers,
         self._worked, self._worked_bytes = 0, 0  # and the other what it has done
-        self._outcomes: deque[Outcome] = deque()
+        self._outcomes: deque[HandOver] = deque()
         self._free_ns = self._lost_ns = 0
         self.thread = Thread(target=self._serve, daemon=True)
         self.thread.start()
@@ -59,7 +59,7 @@ class Outlet:
         """Let the thread do something that is no message, behind all that it has."""
         self._jobs.put(job)
 
-    def outcomes(self) -> list[Outcome]:
+    def outcomes(self) -> list[HandOver]:
         """What has become of messages since the last call."""
         return [self._outcomes.popleft() for _ in range(len(self._outcomes))]
 
@@ -81,7 +81,7 @@ class Outlet:
         late_ns = begin_ns - max(job.due_ns, self._free_ns)
         kept_ns = end_ns - job.due_ns - late_ns
         delivered = not problem and self._lost_ns < begin_ns
-        self._outcomes.append(Outcome(job.message, end_ns, max(0, late_ns), max(0, kept_ns), delivered, problem))
+        self._outcomes.append(HandOver(job.message, end_ns, max(0, late_ns), max(0, kept_ns), delivered, problem))
         self._free_ns = end_ns
         self._worked += 1
         self._worked_bytes += job.size

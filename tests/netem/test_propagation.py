@@ -18,8 +18,8 @@ def signal_to_noise(
 
 def test_mackenzie_at_the_published_check_points() -> None:
     """1550.744 m/s is the check value that goes with the formula; the second lies outside its range of validity."""
-    assert uw.sound_speed(uw.Water(25.0, 35.0, 1000.0)) == pytest.approx(1550.744, abs=5e-4)
-    assert uw.sound_speed(uw.Water(40.0, 40.0, 10000.0)) == pytest.approx(1718.774, abs=5e-4)
+    assert uw.sound_speed(uw.SeaWater(25.0, 35.0, 1000.0)) == pytest.approx(1550.744, abs=5e-4)
+    assert uw.sound_speed(uw.SeaWater(40.0, 40.0, 10000.0)) == pytest.approx(1718.774, abs=5e-4)
 
 
 def test_thorp_at_ten_kilohertz() -> None:
@@ -48,15 +48,15 @@ def test_thorp_over_the_band(f_khz: float, db_per_km: float) -> None:
 
 @pytest.mark.parametrize(
     ("f_khz", "pH", "water", "db_per_km"),
-    [(50.0, 8.1, uw.Water(27.0, 35.0, 10.0), 10.71), (26.0, 8.0, uw.Water(10.0, 35.0, 50.0), 5.319)],
+    [(50.0, 8.1, uw.SeaWater(27.0, 35.0, 10.0), 10.71), (26.0, 8.0, uw.SeaWater(10.0, 35.0, 50.0), 5.319)],
 )
 def test_absorption_in_known_water(
-    f_khz: float, pH: float, water: uw.Water, db_per_km: float, monkeypatch: pytest.MonkeyPatch
+    f_khz: float, pH: float, water: uw.SeaWater, db_per_km: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first number is in the documentation of arlpy. At 26 kHz and 10 degC Thorp's is a fifth more."""
     monkeypatch.setattr(uw, "PH", pH)
     assert uw.absorption(f_khz, water) == pytest.approx(db_per_km, abs=5e-3)
-    assert uw.absorption(26.0) / uw.absorption(26.0, uw.Water(10.0, 35.0, 50.0)) == pytest.approx(1.227, abs=0.01)
+    assert uw.absorption(26.0) / uw.absorption(26.0, uw.SeaWater(10.0, 35.0, 50.0)) == pytest.approx(1.227, abs=0.01)
 
 
 @given(st.floats(0.2, 1000.0), st.floats(-2.0, 20.0), st.floats(0.0, 40.0), st.floats(0.0, 8000.0))
@@ -64,9 +64,9 @@ def test_absorption_grows_with_the_frequency_and_has_no_step_at_20_degrees(
     f_khz: float, temperature: float, salinity: float, depth: float
 ) -> None:
     """The formula for pure water has two branches."""
-    water = uw.Water(temperature, salinity, depth)
+    water = uw.SeaWater(temperature, salinity, depth)
     assert 0.0 < uw.absorption(f_khz, water) < uw.absorption(1.01 * f_khz, water)
-    below, above = (uw.absorption(f_khz, uw.Water(T, salinity, depth)) for T in (20.0, 20.0001))
+    below, above = (uw.absorption(f_khz, uw.SeaWater(T, salinity, depth)) for T in (20.0, 20.0001))
     assert above == pytest.approx(below, rel=2e-3)
 
 

@@ -213,9 +213,9 @@ def nonsense(keys: Keys) -> list[tuple[str, bytes]]:
 
 
 def notes(keys: Keys) -> list[tuple[str, bytes]]:
-    """What a hostile agent may put on its key for notes, the only one on which it reaches the console.
+    """A hostile agent puts these on its key for notes. It reaches the console on no other key.
 
-    It puts garbage and lies. It also puts what only world and netem may say, which would end in the log.
+    Some are garbage, and some are lies. Others may come from world and netem only, and would end in the log.
     """
     nav = encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))
     frames = [

@@ -36,7 +36,7 @@ from fleet.scenario.sections.modem_files import (
     without_replaced,
 )
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem, RangingConfig
-from netem.propagation import Water, sound_speed
+from netem.propagation import SeaWater, sound_speed
 
 # --- aloha
 # How often a vehicle talks with aloha, and how much of that meets nobody, for any number of vehicles.
@@ -220,12 +220,12 @@ def speed_of_sound(section: AcousticSection) -> float:
     return SOUND_SPEED if section.sound_speed is None else section.sound_speed
 
 
-def known_water(section: AcousticSection) -> Water | None:
+def known_water(section: AcousticSection) -> SeaWater | None:
     """The water whose properties a section gives. None: it gives none, or a site, whose loss was fitted with Thorp."""
     water = section.water
     if water is None or water.temperature is None or water.depth is None:
         return None
-    return Water(water.temperature, DEFAULT_SALINITY if water.salinity is None else water.salinity, water.depth)
+    return SeaWater(water.temperature, DEFAULT_SALINITY if water.salinity is None else water.salinity, water.depth)
 
 
 def extent_m(plans: tuple[Offset, ...]) -> float:

@@ -22,7 +22,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.link_conditions import read_trace
 from fleet.scenario.sections.trace_table import TraceTable
 from fleet.scenario.text.yaml_reader import inline
-from fleet.stack.field_traces import Arrival, Selection, trace_of, write_field_traces
+from fleet.stack.field_traces import RecordedMessage, Selection, trace_of, write_field_traces
 from netem.relay import PUT, Relay, RobotMessage
 from netem.wire.open_bus import ZenohSample
 
@@ -102,7 +102,9 @@ def test_losses_that_come_alone_become_one_condition(tmp_path: Path) -> None:
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 3_000_000)), min_size=1, max_size=30))
 def test_every_number_between_the_first_and_the_last_is_a_row(sent: list[tuple[int, int]]) -> None:
     """In whatever order, and however often messages arrive: the first copy counts, and times never go back."""
-    arrivals = sorted((Arrival(n, n * 1_000_000, n * 1_000_000 + late) for n, late in sent), key=lambda a: a.at_ns)
+    arrivals = sorted(
+        (RecordedMessage(n, n * 1_000_000, n * 1_000_000 + late) for n, late in sent), key=lambda a: a.at_ns
+    )
     numbers = [n for n, _, _ in arrivals if n is not None]
     table = trace_of(arrivals, numbers, 0)
     assert [row.delivered for row in table.rows] == [n in numbers for n in range(min(numbers), max(numbers) + 1)]

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from waiting import wait_for
 
 from netem.errors import BusError
-from netem.wire.outlet import MOST_BYTES, MOST_MESSAGES, Outcome, Outlet
+from netem.wire.outlet import MOST_BYTES, MOST_MESSAGES, HandOver, Outlet
 
 LIMIT_S = 60.0
 
 
-def all_outcomes(outlet: Outlet, count: int) -> list[Outcome]:
-    found: list[Outcome] = []
+def all_outcomes(outlet: Outlet, count: int) -> list[HandOver]:
+    found: list[HandOver] = []
     wait_for(lambda: found.extend(outlet.outcomes()) or len(found) >= count, LIMIT_S, "the outcomes")
     return found
 

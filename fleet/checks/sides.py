@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from fleet.checks.api import Facts, Fault, Tick
 from fleet.quantities import vehicle_numbers
+from fleet.scenario.faults.partitions import partition
 from fleet.scenario.sections.graph import reached
-from fleet.scenario.sections.partitions import partition
 from netem.condition import Link
 from netem.grammar import parse_selector, select
 

@@ -121,7 +121,7 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
 def injection(context: click.Context) -> Iterable[str]:
     """The next words in `fleet inject`."""
     from fleet.scenario.schema.faults import ACTIONS, FaultSection
-    from fleet.scenario.schema.value_types import section_of
+    from fleet.scenario.value_types import section_of
 
     given = context.params.get("what") or ()
     named = given[:1] if given and given[0] not in ACTIONS else ()
@@ -140,7 +140,7 @@ def injection(context: click.Context) -> Iterable[str]:
             both = [f"{a}<->{b}" for a, b in links if a < b and (b, a) in links]
             return ["*", *(f"{a}->{b}" for a, b in links), *both]
         case "partition":
-            from fleet.scenario.sections.partitions import NAMED_PARTITIONS
+            from fleet.scenario.faults.partitions import NAMED_PARTITIONS
 
             isolated = [f"isolate:{i}" for i in range(1, vehicles + 1)]
             return [*NAMED_PARTITIONS[:-1], *isolated]

@@ -21,11 +21,11 @@ from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.scenario import Reading, Scenario
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.schema.value_types import Section, section_of
 from fleet.scenario.text.nodes import expanded, still
 from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, locate, plain, read, text_place
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
+from fleet.scenario.value_types import Section, section_of
 from netem.parsing import nearest
 from netem.private_file import read_bounded, read_file
 

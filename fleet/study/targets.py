@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from fleet.quantities import vehicle_numbers
-from fleet.scenario.sections.partitions import partition
+from fleet.scenario.faults.partitions import partition
 from netem.condition import Link
 from netem.errors import TextError
 from netem.grammar import parse_selector

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple, get_args
 
 from fleet.quantities import show_time
+from fleet.scenario.faults.partitions import is_drawn, partition
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import (
     Report,
@@ -20,7 +21,6 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes
 from fleet.scenario.sections.liveness import healed_at
 from fleet.scenario.sections.nemesis import fault_count
-from fleet.scenario.sections.partitions import is_drawn, partition
 from fleet.scenario.sections.swarm import span
 from fleet.scenario.sections.timeline import OF_THE_WORLD, does_nothing, vehicles_of
 from netem.condition import Link

@@ -16,8 +16,8 @@ from pydantic import (
 )
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema import value_types as v
-from fleet.scenario.schema.value_types import Section, mistake
+from fleet.scenario import value_types as v
+from fleet.scenario.value_types import Section, mistake
 
 
 class Below(Section):

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, PlainSerializer
 
 from agents.config import Angles, Astern, Cost, Extrapolation, Method, Solver
-from fleet.scenario.schema import value_types as v
+from fleet.scenario import value_types as v
 from fleet.scenario.schema.navigation import NavigationChoice
-from fleet.scenario.schema.value_types import Section, word_for
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
+from fleet.scenario.value_types import Section, word_for
 
 # --- clock of a vehicle: its drift and offset, given or drawn
 

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, PlainSerializer
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema import value_types as v
+from fleet.scenario import value_types as v
 from fleet.scenario.schema.checks import OnlyTrue, Quantity
-from fleet.scenario.schema.value_types import Section, mistake, word_for
+from fleet.scenario.value_types import Section, mistake, word_for
 from netem.parsing import nearest
 
 # --- the sea: current and sensor noise

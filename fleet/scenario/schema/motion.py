@@ -9,8 +9,8 @@ from pydantic import Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from fleet.quantities import QuantityError, describe_value, vehicle_numbers
-from fleet.scenario.schema import value_types as v
-from fleet.scenario.schema.value_types import Section, mistake
+from fleet.scenario import value_types as v
+from fleet.scenario.value_types import Section, mistake
 
 # --- named shapes: which keys each takes, and what it is when they are not given
 

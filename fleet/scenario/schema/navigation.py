@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, PlainSerializer
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema import value_types as v
-from fleet.scenario.schema.value_types import Section, mistake
+from fleet.scenario import value_types as v
+from fleet.scenario.value_types import Section, mistake
 
 DEFAULT_GRADE = "tactical"
 

@@ -8,8 +8,8 @@ from pydantic import BeforeValidator, Field
 
 from agents.config import Codec
 from fleet.quantities import describe_value, show_time
-from fleet.scenario.schema import value_types as v
-from fleet.scenario.schema.value_types import Section, mistake, read_condition, word_for
+from fleet.scenario import value_types as v
+from fleet.scenario.value_types import Section, mistake, read_condition, word_for
 from netem.condition import Condition
 from netem.grammar import print_condition
 from netem.link_presets import link_presets

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from fleet.quantities import describe_value
-from fleet.scenario.schema import value_types as v
-from fleet.scenario.schema.value_types import Section, mistake
+from fleet.scenario import value_types as v
+from fleet.scenario.value_types import Section, mistake
 
 NAME = re.compile(r"(?=.{1,32}$)[A-Za-z][A-Za-z0-9_]*(-[A-Za-z0-9_]+)*", re.ASCII)
 RESERVED = ("all", "bridge", "every", "halves", "isolate", "majority", "one", "ring")  # words where names stand

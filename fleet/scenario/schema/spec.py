@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
 from agents.config import OnError
 from fleet.quantities import describe_value
-from fleet.scenario.schema import value_types as v
+from fleet.scenario import value_types as v
 from fleet.scenario.schema.checks import ChecksSection
 from fleet.scenario.schema.control import (
     AgentChoice,
@@ -41,8 +41,8 @@ from fleet.scenario.schema.motion import (
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
 from fleet.scenario.schema.nodes import Flag, Node, NodeName
-from fleet.scenario.schema.value_types import Section, mistake, word_for
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
+from fleet.scenario.value_types import Section, mistake, word_for
 from netem.parsing import nearest
 from world.config import DEFAULT_SUBSTEPS
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import PlainSerializer
 
-from fleet.scenario.schema import value_types as v
-from fleet.scenario.schema.value_types import Section, word_for
+from fleet.scenario import value_types as v
+from fleet.scenario.value_types import Section, word_for
 
 DEFAULT_BUDGET_NS = 10_000_000_000
 

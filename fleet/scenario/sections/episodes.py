@@ -32,10 +32,10 @@ from math import factorial
 from typing import Any, NamedTuple
 
 from fleet.quantities import show_time
+from fleet.scenario.faults.partitions import partition
 from fleet.scenario.schema.control import AgentSection
 from fleet.scenario.schema.faults import FaultSection, NemesisSection, TriggerSection
 from fleet.scenario.sections.ground import Ground, free_name
-from fleet.scenario.sections.partitions import partition
 from netem.draws import bits, uniform
 
 PURPOSE = "nemesis episodes"  # of the draws

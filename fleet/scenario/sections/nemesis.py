@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes, liveness, swarm
 from fleet.scenario.sections.ground import Ground, free_name
-from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.condition import Link
 from netem.draws import bits

@@ -21,11 +21,11 @@ from fleet.scenario.schema.control import (
 )
 from fleet.scenario.schema.navigation import NavigationSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.schema.value_types import Section
 from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
 from fleet.scenario.sections import data_files
 from fleet.scenario.sections.data_files import DataFileError, Number, table
 from fleet.scenario.sections.navigation import navigation_over
+from fleet.scenario.value_types import Section
 from world.config import VehicleParams
 from world.navigation.config import Navigation
 from world.plants.classes import model_of, signals_of

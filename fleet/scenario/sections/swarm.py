@@ -22,10 +22,10 @@ from math import cos, log, sin, tau
 from typing import Any, NamedTuple
 
 from fleet.quantities import show_time
+from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.schema.faults import Aim, FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.sections.graph import beside, reached
 from fleet.scenario.sections.ground import Ground, Pair, free_name
-from fleet.scenario.sections.partitions import DRAWN_PARTITIONS, partition
 from netem.condition import Condition, Link
 from netem.draws import bits, uniform
 from netem.grammar import Selector, print_condition, select

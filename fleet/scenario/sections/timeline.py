@@ -22,12 +22,12 @@ from typing import get_args
 from msgspec import structs
 
 from fleet.quantities import vehicle_numbers
+from fleet.scenario.faults.partitions import partition
 from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.schema.value_types import Section
 from fleet.scenario.sections.node_names import named
-from fleet.scenario.sections.partitions import partition
 from fleet.scenario.sections.vehicle_events import is_fault
+from fleet.scenario.value_types import Section
 from netem.condition import Link
 from netem.fault_kinds import FaultKind, WorldFaultKind
 from netem.faults import NetFault

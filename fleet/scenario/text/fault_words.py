@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 from fleet.errors import FleetError, Problem
 from fleet.quantities import TIME
 from fleet.scenario.schema.faults import ACTIONS, FaultAction
-from fleet.scenario.schema.value_types import section_of
 from fleet.scenario.text.yaml_reader import Mapping, Node, Scalar, Source, TextPlace, plain
+from fleet.scenario.value_types import section_of
 from netem.parsing import exact_number, nearest, quoted
 
 _EXAMPLES = {

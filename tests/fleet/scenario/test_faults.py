@@ -22,9 +22,9 @@ from fleet.analysis.stability import analyse
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Result, Status
+from fleet.scenario.faults.partitions import partition
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.faults import ACTIONS, DrawnKind
-from fleet.scenario.sections.partitions import partition
 from netem.condition import Condition
 from netem.config import NetemConfig
 from netem.fault_kinds import FaultKind, WorldFaultKind

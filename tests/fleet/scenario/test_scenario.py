@@ -27,10 +27,10 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.control import GuidanceSection, TrackingSection
 from fleet.scenario.schema.network import LinkSection, LinkStateSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.schema.value_types import Section
 from fleet.scenario.sections.formation import grid
 from fleet.scenario.sections.log_rates import DRAWN_GROUPS, LOG_GROUPS
 from fleet.scenario.text.yaml_reader import Source, plain, read, resolve
+from fleet.scenario.value_types import Section
 from netem.condition import Condition
 
 SHIPPED = [row.name for row in list_scenarios()]

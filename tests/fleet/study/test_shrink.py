@@ -14,9 +14,9 @@ from study_engine import Here, Rows
 from fleet.errors import ScenarioError
 from fleet.execution.stepped_run import judged
 from fleet.quantities import vehicle_numbers
+from fleet.scenario.faults.partitions import partition
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.partitions import partition
 from fleet.scenario.sections.timeline import action, vehicles_of
 from fleet.study.one_run import Task
 from fleet.study.row import CheckRow, Row

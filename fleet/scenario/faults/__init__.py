@@ -1,0 +1,1 @@
+"""The kinds of faults, each with all that is known of it."""

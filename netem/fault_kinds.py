@@ -37,7 +37,7 @@ class Cause(StrEnum):
 
 LOSSES = tuple(cause for cause in Cause if cause not in (Cause.DELIVERED, Cause.IN_FLIGHT))
 
-FaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow", "clock", "hold", "duplicate"]
+NetFaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow", "clock", "hold", "duplicate"]
 
 
 class WorldFaultKind(StrEnum):

@@ -13,14 +13,14 @@ from msgspec import structs
 
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.errors import MalformedMessage
-from netem.fault_kinds import Cause, FaultKind
+from netem.fault_kinds import Cause, NetFaultKind
 from netem.wire.messages import TimedFault
 
 
 class NetFault(TimedFault, frozen=True):
     """A fault of the network."""
 
-    kind: FaultKind
+    kind: NetFaultKind
     links: tuple[Link, ...] = ()  # of link, down, up, partition, hold, duplicate
     vehicles: tuple[int, ...] = ()  # of mute, deaf, slow, clock
     condition: Condition | None = None  # of link

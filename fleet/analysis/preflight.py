@@ -13,11 +13,11 @@ from fleet.analysis.link_shares import short_traces
 from fleet.analysis.stability import oldest_s, slot_warnings
 from fleet.quantities import show_time, vehicle_names, vehicle_numbers
 from fleet.recorder.settling import least_s
+from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.schema.control import KeepApartSection
 from fleet.scenario.sections.clocks import clock_sections
-from fleet.scenario.sections.timeline import OF_THE_NETWORK
 from netem.condition import DEFAULT_LIMIT, Link, effective
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
@@ -170,7 +170,7 @@ LARGE_MB = 50.0  # from which on a warning about the size is given
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
 THIN = "log: {every: 10 ticks}"
 _MANY = 100  # packets per second
-BY_ROUND = frozenset(OF_THE_NETWORK) - {"slow", "clock"}  # faults that act at round ticks only
+BY_ROUND = OF_ROBOTS  # faults that act at round ticks only
 
 
 def warnings(scenario: Scenario) -> list[str]:

@@ -5,11 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from fleet.checks.api import Facts, Fault, Tick
-from fleet.quantities import vehicle_numbers
-from fleet.scenario.faults.partitions import partition
+from fleet.scenario.faults.kind import Part, Surroundings
+from fleet.scenario.faults.kinds import KINDS
+from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.graph import reached
-from netem.condition import Link
-from netem.grammar import parse_selector, select
+from fleet.scenario.text.fault_words import read_fault
+from netem.faults import NetFault, active_faults
+from netem.wire.messages import TimedFault, WorldFault
+
+
+def _parts(fault: Fault, around: Surroundings) -> list[Part]:
+    """What the cores do during a fault of the log. Who has no agent is known without it; a tumble is no fault."""
+    kind = KINDS.get(fault.what.partition(" ")[0])
+    if kind is None or kind.name == "kill":
+        return []
+    section = FaultSection.model_validate(read_fault(fault.what) | {"at": "0 s"})
+    return kind.parts(section.values, TimedFault(fault.id, 0, None), around)
 
 
 class Sides:
@@ -41,28 +52,13 @@ class Sides:
 
     def _groups(self, faults: Iterable[Fault], alive: Iterable[int]) -> tuple[tuple[int, ...], ...]:
         links = set(self._facts.links)
-        absent: set[int] = set()
-        cut: set[Link] = set()
-        down: set[Link] = set()
-        for fault in faults:
-            kind, _, what = fault.what.partition(" ")
-            match kind:
-                case "partition":
-                    cut |= partition(what, self._facts.vehicles, self._facts.seed, fault.id, self._facts.links)
-                case "down":
-                    down |= set(select(parse_selector(what), self._facts.links))
-                case "hold":
-                    links_of = what.removeprefix("{links: ").partition(",")[0]
-                    cut |= set(select(parse_selector(links_of), self._facts.links))
-                case "up":
-                    down -= set(select(parse_selector(what), self._facts.links))
-                case "mute" | "deaf":
-                    those = set(vehicle_numbers(what))
-                    cut |= {link for link in links if link[kind == "deaf"] in those}
-                case "pause":
-                    absent |= set(vehicle_numbers(what))
+        around = Surroundings(self._facts.vehicles, self._facts.seed, tuple(self._facts.links))
+        parts = [part for fault in sorted(faults, key=lambda fault: fault.since) for part in _parts(fault, around)]
+        net = active_faults(tuple(part for part in parts if isinstance(part, NetFault)), 0)
+        absent = {i for part in parts if isinstance(part, WorldFault) and part.kind == "pause" for i in part.vehicles}
         self.suspended = frozenset(absent)
-        links -= cut | down
+        links -= {*net.cut, *net.hold}
+        links = {(a, b) for a, b in links if a not in net.mute and b not in net.deaf}
         there = [i for i in alive if i not in absent]
         heard_by: dict[int, list[int]] = {i: [] for i in there}
         for source, target in sorted(links):

@@ -120,31 +120,31 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
 @_words
 def injection(context: click.Context) -> Iterable[str]:
     """The next words in `fleet inject`."""
-    from fleet.scenario.schema.faults import ACTIONS, FaultSection
-    from fleet.scenario.value_types import section_of
+    from fleet.scenario.faults.kind import OfFleet, OfLinks
+    from fleet.scenario.faults.kinds import KINDS
+    from fleet.scenario.faults.of_links import PartitionFault
 
     given = context.params.get("what") or ()
-    named = given[:1] if given and given[0] not in ACTIONS else ()
+    named = given[:1] if given and given[0] not in KINDS else ()
     given = given[len(named) :]
     if not given:
-        return ACTIONS
-    kind = given[0]
-    section = section_of(FaultSection.model_fields[kind].annotation)
-    if section is not None and kind not in ("current", "hold"):
-        return [f"{info.alias or key}=" for key, info in section.model_fields.items()]
+        return [*KINDS]
+    kind = KINDS[given[0]]
+    if kind.section is not None and not kind.one_word:
+        return [f"{info.alias or key}=" for key, info in kind.section.model_fields.items()]
     if len(given) > 1:
-        return _CONDITIONS if kind == "link" else ()
+        return _CONDITIONS if kind.name == "link" else ()
     vehicles, links = _targets(_run(context, *named))
     match kind:
-        case "link" | "down" | "up" | "hold":
+        case OfLinks():
             both = [f"{a}<->{b}" for a, b in links if a < b and (b, a) in links]
             return ["*", *(f"{a}->{b}" for a, b in links), *both]
-        case "partition":
+        case PartitionFault():
             from fleet.scenario.faults.partitions import NAMED_PARTITIONS
 
             isolated = [f"isolate:{i}" for i in range(1, vehicles + 1)]
             return [*NAMED_PARTITIONS[:-1], *isolated]
-        case "current" | "gust":
+        case OfFleet():
             return ()
     return [str(i) for i in range(1, vehicles + 1)]
 

@@ -26,8 +26,9 @@ from fleet.execution.notes import note_text
 from fleet.execution.runner import Closing
 from fleet.recorder.journal import Journal, JournalSink
 from fleet.recorder.snapshot import Start
+from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
-from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
+from fleet.scenario.sections.timeline import MOST_RESTARTS
 from netem.draws import salted
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import NetFault

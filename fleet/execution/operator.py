@@ -23,12 +23,13 @@ from fleet.execution.clock import LiveClock
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M, Series
 from fleet.recorder.settling import below_from, least_s, stayed
+from fleet.scenario.faults.kind import Kill, Part
+from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.rules.faults import fault_problems
-from fleet.scenario.rules.nodes import OF_ROBOTS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.node_names import numbered_values
-from fleet.scenario.sections.timeline import Kill, Part, action, acts, begin_and_end, parts, with_end, words
+from fleet.scenario.sections.timeline import acts, begin_and_end, parts, with_end, words
 from fleet.scenario.sections.triggers import read_entry
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.faults import NetFault
@@ -70,12 +71,13 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
         hint = first.get("ctx", {}).get("hint", "")
         where = ".".join(str(step) for step in first["loc"] if step != "[key]")
         raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
-    if scenario.nodes and action(section) not in OF_ROBOTS:
-        raise RefusedError(f"{action(section)} concerns vehicles of ours; known: {', '.join(sorted(OF_ROBOTS))}")
+    if scenario.nodes and section.kind.name not in OF_ROBOTS:
+        raise RefusedError(f"{section.kind.name} concerns vehicles of ours; known: {', '.join(sorted(OF_ROBOTS))}")
     problem = next(fault_problems(section, scenario.spec, scenario.graph.links), None)
     if problem is not None:
         raise RefusedError(str(problem))
-    if any(condition.seed is not None for condition in (section.link or {}).values()):
+    conditions = section.values.values() if section.kind.name == "link" else ()
+    if any(condition.seed is not None for condition in conditions):
         raise RefusedError("a seed belongs in a scenario, because a link keeps its draws during a run")
     return section
 
@@ -296,7 +298,7 @@ class Operator:
         scenario = self.scenario
         found = parts(section, name, scenario.spec, scenario.graph.links)
         if not acts(found):
-            raise RefusedError(f"this {action(section)} concerns no link of the graph")
+            raise RefusedError(f"this {section.kind.name} concerns no link of the graph")
         self._replace([*self.faults, *found])
         for part in found:
             if isinstance(part, Kill):

@@ -43,8 +43,9 @@ from fleet.processes.children import (
 )
 from fleet.processes.limits import allow_open_files, free_port, processors
 from fleet.recorder.journal import Journal
+from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
-from fleet.scenario.sections.timeline import MOST_RESTARTS, Kill
+from fleet.scenario.sections.timeline import MOST_RESTARTS
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.lives import Absence, Lives

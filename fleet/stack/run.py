@@ -27,9 +27,9 @@ from fleet.processes.children import Children, Exit, RunFolder, describe_exit
 from fleet.processes.limits import free_port
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
+from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
-from fleet.scenario.sections.timeline import Kill
 from fleet.stack.lines import lines
 from fleet.stack.messages import MessageLog, place_of
 from netem import relay_process

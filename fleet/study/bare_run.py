@@ -22,9 +22,10 @@ from fleet.checks.own_checks import OwnChecks, due_groups
 from fleet.checks.triggers import Triggers
 from fleet.checks.values import Values
 from fleet.result.verdict import Verdict
+from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.sections.timeline import Kill, begin_and_end, event_order, parts
+from fleet.scenario.sections.timeline import begin_and_end, event_order, parts
 from fleet.study.errors import StudyError
 from netem.faults import NetFault
 from netem.lives import Lives

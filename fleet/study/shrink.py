@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 from fleet.errors import ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.quantities import show_time, time_ns
+from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.yaml_reader import Source, plain, read
@@ -36,11 +37,6 @@ from netem.parsing import NUMBER
 MOST_ROUNDS = 5  # over everything, and over each number
 _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(9, 10))  # of a number that is made less
 TIMES = frozenset({"at", "for", "id"})
-# Kinds whose every number makes them stronger. (A smaller efficiency or saturation is stronger; others have none.)
-_MILDER = (
-    *("link", "noise", "bias", "dropout", "slow", "clock", "gust", "current", "wrench"),
-    *("dvl", "compass", "fix"),
-)
 _MORE_IS_WORSE = ("delay", "loss", "duplicate", "corrupt", "reorder")  # words of a link's condition
 _NUMBER = re.compile(rf"(?<![\w.])({NUMBER.pattern})(?=\s*[^\W\d_]|\s*%|\s+[-+.\d]|\s*$)", re.ASCII)
 
@@ -184,7 +180,7 @@ class Shrinker:
         for k in range(len(self._tree.get("faults") or [])):
             fault = self._tree["faults"][k]
             kind = _kind(fault)
-            if kind not in _MILDER:
+            if not KINDS[kind].every_number_strengthens:
                 continue
             self._doing = f"fault {fault.get('id', k + 1)} milder"
             for place in number_places(fault[kind]):

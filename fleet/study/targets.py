@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from fleet.quantities import vehicle_numbers
+from fleet.scenario.faults.kind import OfFleet, OfLinks
+from fleet.scenario.faults.kinds import KINDS
+from fleet.scenario.faults.of_links import LinkFault, PartitionFault
 from fleet.scenario.faults.partitions import partition
 from netem.condition import Link
 from netem.errors import TextError
 from netem.grammar import parse_selector
-
-_OF_LINKS = ("down", "up", "hold", "duplicate")
-_OF_ALL = ("current", "gust")
 
 
 class Targets(NamedTuple):
@@ -33,12 +33,13 @@ def targets(kind: str, value: Any, vehicles: int, seed: int, name: str) -> Targe
     Returns:
         None: the fault has no list.
     """
-    if kind == "partition":
-        return _cut_off(value, vehicles, seed, name)
-    if kind == "link":
-        return Targets([*value], lambda some, _: {key: value[key] for key in some})
-    if kind in (*_OF_LINKS, *_OF_ALL):
-        return None
+    match KINDS[kind]:
+        case PartitionFault():
+            return _cut_off(value, vehicles, seed, name)
+        case LinkFault():
+            return Targets([*value], lambda some, _: {key: value[key] for key in some})
+        case OfLinks() | OfFleet():
+            return None
     try:
         if not isinstance(value, dict):
             return Targets(vehicle_numbers(value), lambda some, _: _text(some))
@@ -87,9 +88,9 @@ def narrower(kind: str, value: Any, links: Sequence[Link]) -> Iterator[Any]:
         for key, condition in value.items():
             for less in _selectors(key, links):
                 yield {less if other == key else other: what for other, what in value.items()} | {less: condition}
-    elif kind in _OF_LINKS and isinstance(value, dict):
+    elif isinstance(KINDS[kind], OfLinks) and isinstance(value, dict):
         yield from (value | {"links": less} for less in _selectors(value["links"], links))
-    elif kind in _OF_LINKS:
+    elif isinstance(KINDS[kind], OfLinks):
         yield from _selectors(value, links)
 
 

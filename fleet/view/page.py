@@ -17,6 +17,8 @@ from nicegui.events import GenericEventArguments
 from fleet.errors import FleetError
 from fleet.execution.directory import in_use
 from fleet.execution.operator import checked_fault
+from fleet.scenario.faults.kind import FaultKind, OfLinks, OfVehicles
+from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.fault_words import read_fault
 from fleet.scene.styles import PAGE
@@ -26,20 +28,11 @@ from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
 from fleet.view.view_state import Row
 
-_BY_DEFAULT = {
-    "link": {"cut": "down {0}", "delay": "link {0} delay 500ms", "lose": "link {0} loss 30%",
-             "both": "link {0} delay 500ms 100ms loss 30%"},
-    "vehicle": {"kill": "kill {0}", "pause": "pause {0}", "mute": "mute {0}", "deaf": "deaf {0}",
-                "freeze sensors": "freeze {0}", "weaken": "efficiency vehicles={0} surge=50%"},
-    "fleet": {"halves": "partition halves", "one": "partition one", "majority": "partition majority",
-              "ring": "partition ring", "bridge": "partition bridge", "current": "current 0.2 0 0 m/s",
-              "gust": "gust velocity=0 0.5 0 m/s over=10s"},
-}  # fmt: skip
 
-
-def suggestions(kind: str, target: str) -> dict[str, str]:
-    """Faults of a link (`1->2`, `1<->2`), a vehicle or the fleet, as words, by what to call them."""
-    return {name: words.format(target) for name, words in _BY_DEFAULT[kind].items()}
+def suggestions(about: type[FaultKind], target: str = "") -> dict[str, str]:
+    """Faults as words, by what to call them: of a link (`1->2`, `1<->2`) or a vehicle, or of what has no target."""
+    offered = [offer for kind in KINDS.values() if isinstance(kind, about) for offer in kind.offers]
+    return {name: words.format(target) for name, words in offered if ("{0}" in words) is bool(target)}
 
 
 def entry(words: str, lasts: str, scenario: Scenario, tick: int) -> dict[str, Any]:
@@ -112,20 +105,20 @@ class FaultForm:
         match kind:
             case "link":
                 src, dst = int(said["src"]), int(said["dst"])
-                offered = suggestions("link", f"{src}->{dst}")
+                offered = suggestions(OfLinks, f"{src}->{dst}")
                 both = (dst, src) in self._feed.scenario.graph.links
                 if both:
                     offered["cut both ways"] = f"down {src}<->{dst}"
                 title = f"Link from vehicle {src} to vehicle {dst}"
             case "vehicle":
-                offered = suggestions("vehicle", str(int(said["i"])))
+                offered = suggestions(OfVehicles, str(int(said["i"])))
                 title = f"Vehicle {int(said['i'])}"
             case "partition":
                 groups = [[int(i) for i in group] for group in said["groups"]]
                 offered = {"partition": partition(groups)}
                 title = "Cut the network in two"
             case _:
-                offered = suggestions("fleet", "")
+                offered = suggestions(FaultKind)
                 title = "Disturb the fleet"
         self._title.text = title
         self._choices.clear()

@@ -15,6 +15,7 @@ from typing import Any
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.recorder.transforms import angles
+from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
 from fleet.scene.model import (
@@ -41,7 +42,6 @@ SAMPLE_S = 0.2  # between two samples of charts
 MOST_SAMPLES = int(HISTORY_S / SAMPLE_S)
 MOST_PACKETS = 400  # of a frame: more nobody can follow
 LOSS_SAMPLES = 5  # over which the share of lost packets is taken
-KILLS = ("kill", "pause")  # faults that leave a vehicle without its agent
 NOT_PLACED = "The scenario logs no transforms (log: {transforms: 0 ticks}): where the vehicles are is not known."
 Row = dict[str, Any]
 
@@ -329,7 +329,7 @@ class ViewState:
         found: dict[int, list[str]] = {}
         for row in (*self.known_faults, *self._events.values()):
             kind = row["what"].partition(" ")[0]
-            word = NO_AGENT if kind in KILLS else kind if kind in (TUMBLED, DIVERGED, "mute", "freeze") else ""
+            word = kind if kind in (TUMBLED, DIVERGED) else KINDS[kind].shown if kind in KINDS else ""
             if word and row["from_s"] <= self.at_s < row["to_s"]:
                 for i in kind_and_vehicles(row["what"])[1]:
                     found.setdefault(i, []).append(word)

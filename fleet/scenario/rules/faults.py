@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 from fleet.quantities import show_time
+from fleet.scenario.faults.kind import OfLinks
+from fleet.scenario.faults.kinds import KINDS
+from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import is_drawn, partition
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import (
@@ -16,13 +19,12 @@ from fleet.scenario.rules.report import (
     vehicles_exist,
     whole_multiple,
 )
-from fleet.scenario.schema.faults import ACTIONS, DrawnKind, FaultAction, FaultSection, NemesisSection
+from fleet.scenario.schema.faults import ACTIONS, OF_TARGET, FaultAction, FaultSection, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes
 from fleet.scenario.sections.liveness import healed_at
 from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.swarm import span
-from fleet.scenario.sections.timeline import OF_THE_WORLD, does_nothing, vehicles_of
 from netem.condition import Link
 from netem.errors import TextError
 from netem.grammar import parse_selector, select
@@ -86,9 +88,9 @@ def nemesis(parts: Parts, report: Report) -> None:
     for index, pick in enumerate(nemesis.pick or ()):
         path = ("nemesis", "pick", index)
         if pick.drawn is not None:
-            if nemesis.mode is None and pick.drawn not in get_args(DrawnKind):
+            if nemesis.mode is None and pick.drawn not in OF_TARGET:
                 report.add(path, f"{pick.drawn} has a strength that is drawn, which needs a mode", "write mode: swarm")
-            elif spec.network.ideal and pick.drawn not in OF_THE_WORLD:
+            elif spec.network.ideal and not in_the_world(pick.drawn):
                 report.add(path, f"{pick.drawn} needs a network, and this one is ideal", "give the network a period")
         else:
             report_fault(report, path, pick, spec, links)
@@ -205,37 +207,40 @@ def fault_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ..
         for key, time in (("at", fault.at), ("for", fault.for_)):
             if time is not None and (wrong := no_whole_ticks(time, spec.tick)):
                 yield FaultProblem(key, *wrong)
-    yield from _target_problems(given_actions[0], fault, spec, links)
+    yield from _target_problems(fault, spec, links)
 
 
-def _target_problems(
-    kind: str, fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ...]
-) -> Iterator[FaultProblem]:
+def in_the_world(word: str) -> bool:
+    """Whether a kind, or what a nemesis draws, needs no network."""
+    return word in KINDS and KINDS[word].acts_on == "vehicle"
+
+
+def _target_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ...]) -> Iterator[FaultProblem]:
     """Mistakes in the links or vehicles of a fault, and in its effect on them."""
-    if spec.network.ideal and kind not in OF_THE_WORLD:
-        yield FaultProblem("", f"{kind} needs a network, and this one is ideal", "give the network a period")
-    elif does_nothing(fault):
-        yield FaultProblem(kind, "changes nothing: give it a value", at_key=True)
-    elif kind == "partition":
-        assert fault.partition is not None
+    kind, values = fault.kind, fault.values
+    name = kind.name
+    if spec.network.ideal and not in_the_world(name):
+        yield FaultProblem("", f"{name} needs a network, and this one is ideal", "give the network a period")
+    elif kind.does_nothing(values):
+        yield FaultProblem(name, "changes nothing: give it a value", at_key=True)
+    elif isinstance(kind, PartitionFault):
         try:
-            cut = partition(fault.partition, spec.vehicles, spec.seed, "", links)
+            cut = partition(values, spec.vehicles, spec.seed, "", links)
         except TextError as error:
-            yield FaultProblem(kind, error.message, error.hint)
+            yield FaultProblem(name, error.message, error.hint)
             return
-        if not cut and not is_drawn(fault.partition):  # one that is drawn may cut no link, this time
-            yield FaultProblem(kind, "cuts no link of the graph")
-    elif kind == "link" and not fault.link:
-        yield FaultProblem(kind, "names no link", "write link 1->2: loss 30%")
-    elif kind in ("link", "down", "up", "hold", "duplicate"):
-        if kind in ("hold", "duplicate") and spec.network.acoustic is not None:
-            yield FaultProblem(kind, "acts on links of their own, and this network is acoustic", at_key=True)
-        if fault.duplicate is not None and (uneven := no_whole_ticks(fault.duplicate.after, spec.tick)):
-            yield FaultProblem(kind, *uneven)
-        given = getattr(fault, kind)
-        for text in (fault.link or ()) if kind == "link" else [getattr(given, "links", given)]:
+        if not cut and not is_drawn(values):  # one that is drawn may cut no link, this time
+            yield FaultProblem(name, "cuts no link of the graph")
+    elif isinstance(kind, OfLinks):
+        if not kind.in_water and spec.network.acoustic is not None:
+            yield FaultProblem(name, "acts on links of their own, and this network is acoustic", at_key=True)
+        for uneven in filter(None, (no_whole_ticks(time, spec.tick) for time in kind.times(values))):
+            yield FaultProblem(name, *uneven)
+        if not (selectors := kind.selectors(values)):
+            yield FaultProblem(name, "names no link", "write link 1->2: loss 30%")
+        for text in selectors:
             if not select(parse_selector(text), links) and text != "*":
-                yield FaultProblem(kind, f"the graph has no link {text}", known_links(links))
+                yield FaultProblem(name, f"the graph has no link {text}", known_links(links))
     else:
-        for wrong in filter(None, (unknown_vehicle(spec, number) for number in vehicles_of(fault))):
-            yield FaultProblem(kind, wrong)
+        for wrong in filter(None, (unknown_vehicle(spec, number) for number in kind.vehicles(values))):
+            yield FaultProblem(name, wrong)

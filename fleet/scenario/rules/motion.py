@@ -16,10 +16,7 @@ from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.graph import parse_edge
 from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_of, grade_problems, navigation_of
 from fleet.scenario.sections.per_vehicle import Control
-from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.condition import Link
-from netem.fault_kinds import WorldFaultKind
-from world.navigation.config import KINDS as KINDS_OF_FAULT
 from world.navigation.config import DeadReckoning, Navigation, NavigationTrace
 
 # --- moored vehicles
@@ -123,15 +120,17 @@ def faults(parts: Parts, report: Report) -> None:
         return
     vehicles, controls = range(1, parts.spec.vehicles + 1), _controls(parts)
     for index, fault in enumerate(parts.spec.faults):
-        kind = action(fault)
-        if kind not in KINDS_OF_FAULT or not controls:
+        kind = fault.kind
+        what = kind.needs
+        if what not in ("dead reckoning", "fixes") or not controls:
             continue
-        some = vehicles_of(fault) or vehicles
-        if not any(_has(kind, controls[i - 1].navigation) for i in some):
-            what = "fixes" if kind == WorldFaultKind.FIX else "dead reckoning"
+        some = kind.vehicles(fault.values) or vehicles
+        if not any(_has(what, controls[i - 1].navigation) for i in some):
             example = "{usbl: {at: 0 0 0 m}}" if what == "fixes" else "tactical"
             hint = f"give them one, as in navigation: {example}"
-            report.add(("faults", index, kind), f"has no effect: none of these vehicles has {what}", hint, key=True)
+            report.add(
+                ("faults", index, kind.name), f"has no effect: none of these vehicles has {what}", hint, key=True
+            )
 
 
 def _controls(parts: Parts) -> tuple[Control, ...]:
@@ -142,10 +141,10 @@ def _controls(parts: Parts) -> tuple[Control, ...]:
         return ()
 
 
-def _has(kind: str, navigation: Navigation | None) -> bool:
+def _has(what: str, navigation: Navigation | None) -> bool:
     if not isinstance(navigation, DeadReckoning):
         return False
-    return kind != WorldFaultKind.FIX or bool(navigation.fixes)
+    return what != "fixes" or bool(navigation.fixes)
 
 
 Table = dict[str, ShapeKeys]

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import get_args
 
+from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
+from fleet.scenario.schema.faults import CONDITIONS
 from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
-from fleet.scenario.sections.timeline import action
-from netem.fault_kinds import FaultKind
 from netem.parsing import nearest
 
 _OF_NODES = ("carry", "discovery", "lost_after", "header", "fragments")
 _CHECKS = frozenset({"max_age", "connected", "ledger", "middleware_loss", "punctual", "python"})
-OF_ROBOTS = frozenset(get_args(FaultKind)) - {"slow", "clock"}  # faults of the network alone
-_DRAWN = OF_ROBOTS | {"loss", "delay", "rate"}
+_DRAWN = {*OF_ROBOTS, *CONDITIONS}
 
 
 def nodes(parts: Parts, report: Report) -> None:
@@ -55,12 +53,12 @@ def contents(parts: Parts, report: Report) -> None:
     if spec.nodes is None:
         return
     for number, fault in enumerate(spec.faults):
-        if (kind := action(fault)) not in OF_ROBOTS:
+        if (kind := fault.kind.name) not in OF_ROBOTS:
             known = f"known: {', '.join(sorted(OF_ROBOTS))}"
             report.add(("faults", number), f"{kind} concerns vehicles of ours", known)
     if spec.nemesis is not None:
         for number, pick in enumerate(spec.nemesis.pick or ()):
-            if (pick.drawn or action(pick)) not in _DRAWN:
+            if (pick.drawn or pick.kind.name) not in _DRAWN:
                 known = f"known: {', '.join(sorted(_DRAWN))}"
                 report.add(("nemesis", "pick", number), "concerns vehicles of ours", known)
         if spec.nemesis.pick is None:

@@ -2,169 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PlainSerializer
+from pydantic import BeforeValidator, Field, create_model
 
-from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
+from fleet.scenario.faults.kind import FaultKind
+from fleet.scenario.faults.kinds import KINDS
+from fleet.scenario.faults.of_motion import CurrentSection, CurrentValue
 from fleet.scenario.schema.checks import OnlyTrue, Quantity
-from fleet.scenario.value_types import Section, mistake, word_for
+from fleet.scenario.value_types import Section, mistake
 from netem.parsing import nearest
-
-# --- the sea: current and sensor noise
-
-
-class CurrentSection(Section):
-    """An irrotational current, NED: constant, or with a first-order Gauss-Markov part."""
-
-    mean: v.Velocity = (0.0, 0.0, 0.0)
-    sigma: v.Speeds = (0.0, 0.0, 0.0)
-    time_constant: v.Period = 60_000_000_000
-
-
-def _show_current(current: CurrentSection | None) -> Any:
-    return current and (current.model_dump() if any(current.sigma) else current.model_dump()["mean"])
-
-
-Current = Annotated[CurrentSection, word_for("mean"), PlainSerializer(_show_current)]
 
 
 class SeaSection(Section):
     """The forces of the sea on every vehicle."""
 
     disturbance: Literal["none", "paper"] = "none"
-    current: Current = CurrentSection.model_construct()
-
-
-class SensorsSection(Section):
-    """Standard deviations of white noise on the navigation sensor; 0 is off."""
-
-    position_noise: v.Length = 0.0
-    angle_noise: v.Angle = 0.0
-    velocity_noise: v.Speed = 0.0
-    rate_noise: v.AngularRate = 0.0
-
-
-class SensorNoise(SensorsSection):
-    """More noise on some vehicles' navigation."""
-
-    vehicles: v.VehicleNumbers | None = None
-
-
-class OfVehicles(Section):
-    """The values of a fault of some vehicles, or of all."""
-
-    vehicles: v.VehicleNumbers | None = None
-
-
-class SensorBias(OfVehicles):
-    position: v.Position = (0.0, 0.0, 0.0)  # NED
-    velocity: v.Velocity = (0.0, 0.0, 0.0)  # body
-    pitch: v.SignedAngle = 0.0
-    yaw: v.SignedAngle = 0.0
-    pitch_rate: v.SignedAngularRate = 0.0
-    yaw_rate: v.SignedAngularRate = 0.0
-    roll: v.SignedAngle = 0.0  # of vehicles that have it
-    roll_rate: v.SignedAngularRate = 0.0
-
-
-class Efficiency(OfVehicles):
-    """The share of each command that the actuators still produce."""
-
-    surge: v.Ratio = 1.0
-    pitch: v.Ratio = 1.0
-    yaw: v.Ratio = 1.0
-
-
-class Saturation(OfVehicles):
-    """Smaller limits of the actuators."""
-
-    surge_force: v.Force | None = None
-    pitch_moment: v.Moment | None = None
-    yaw_moment: v.Moment | None = None
-
-
-class Wrench(OfVehicles):
-    """A constant force and moment in body axes."""
-
-    force: v.ForceVector = (0.0, 0.0, 0.0)
-    pitch_moment: v.AnyMoment = 0.0
-    yaw_moment: v.AnyMoment = 0.0
-
-
-class Dropout(OfVehicles):
-    """The navigation sensor repeats its last measurement, with this probability at each tick."""
-
-    probability: Annotated[v.Probability, v.loss_once("probability")]
-
-
-class DvlFault(OfVehicles):
-    """The DVL of vehicles that navigate: samples that are lost, biased, or jump."""
-
-    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0  # of each sample
-    bias: v.Velocity = (0.0, 0.0, 0.0)  # body
-    jump: v.Speed = 0.0  # standard deviation on each axis
-    chance: v.Probability = 0.1  # that a sample jumps
-
-
-class CompassFault(OfVehicles):
-    """The same of the heading sensor."""
-
-    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0
-    bias: v.SignedAngle = 0.0
-    jump: v.Angle = 0.0
-    chance: v.Probability = 0.1
-
-
-class FixFault(OfVehicles):
-    """The same of the fixes of the position."""
-
-    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0
-    bias: v.PlanPosition = (0.0, 0.0)  # north, east
-    jump: v.Length = 0.0
-    chance: v.Probability = 0.1
-
-
-class Slow(OfVehicles):
-    """The commands and the messages of an agent are late."""
-
-    by: v.Ticks
-
-
-class ClockFault(OfVehicles):
-    """A clock is set to another time, and goes faster or slower. At the end the step is undone."""
-
-    step: v.ClockTime = 0
-    drift: v.ClockDrift = 0.0
-
-
-class Hold(Section):
-    """Packets that are sent meanwhile are kept, and come when the fault is over."""
-
-    links: v.LinkSelector
-    order: Literal["sent", "reversed"] = "sent"  # reversed: the last one first, at the pace at which they were sent
-
-
-class Duplicate(Section):
-    """Packets that are sent meanwhile come once more, so much later."""
-
-    links: v.LinkSelector
-    after: v.Period
-
-
-class Gust(Section):
-    """A current that rises to a velocity and falls again, for all vehicles."""
-
-    velocity: v.Velocity
-    over: v.Period
-
-
-def _show_hold(hold: Hold | None) -> Any:
-    return hold and (hold.model_dump() if hold.order == "reversed" else hold.model_dump()["links"])
-
-
-HoldChoice = Annotated[Hold, word_for("links"), PlainSerializer(_show_hold)]
+    current: CurrentValue = CurrentSection.model_construct()
 
 
 FaultId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
@@ -178,49 +33,23 @@ class FaultTimes(Section):
     for_: Annotated[v.Period | None, Field(alias="for")] = None  # to the end
 
 
-def _conditions(value: Any) -> Any:
-    if isinstance(value, str):
-        text = 'expected links with their condition, such as link: {"1->2": loss 30% delay 2s}'
-        raise mistake(f"{text}, got {describe_value(value)}")
-    return value
+ACTIONS = tuple(KINDS)
+_FIELDS: dict[str, Any] = {name: (kind.value | None, None) for name, kind in KINDS.items()}
+_Effect: Any = create_model("_Effect", __base__=Section, **_FIELDS)
 
 
-class FaultAction(Section):
-    """The effect of a fault: the entry gives exactly one of these keys.
+class FaultAction(_Effect):
+    """The effect of a fault: the entry gives exactly one of these keys, each the name of a kind."""
 
-    All other lists of kinds follow this one.
-    """
+    @property
+    def kind(self) -> FaultKind:
+        """The kind of a valid fault."""
+        return next(kind for name, kind in KINDS.items() if getattr(self, name) is not None)
 
-    # In place of the links' own conditions.
-    link: Annotated[dict[v.LinkSelector, v.LinkCondition] | None, BeforeValidator(_conditions)] = None
-    down: v.LinkSelector | None = None
-    up: v.LinkSelector | None = None  # the end of every down, and of the links' own
-    partition: str | None = None  # "1,2 / 3,4", or halves, one, majority, ring, bridge, isolate:3
-    hold: HoldChoice | None = None
-    duplicate: Duplicate | None = None
-    mute: v.VehicleNumbers | None = None  # sends nothing
-    deaf: v.VehicleNumbers | None = None  # receives nothing
-    slow: Slow | None = None
-    clock: ClockFault | None = None  # of the agent and its modem
-    kill: v.VehicleNumbers | None = None  # the agent ends; the vehicle drifts until it is restarted
-    pause: v.VehicleNumbers | None = None  # the agent is suspended; the vehicle holds its last command
-    noise: SensorNoise | None = None
-    bias: SensorBias | None = None
-    freeze: v.VehicleNumbers | None = None  # the same measurement again and again
-    dropout: Dropout | None = None
-    dvl: DvlFault | None = None
-    compass: CompassFault | None = None
-    fix: FixFault | None = None
-    efficiency: Efficiency | None = None
-    saturate: Saturation | None = None
-    off: v.VehicleNumbers | None = None  # no force, no moments
-    stuck: v.VehicleNumbers | None = None  # those of the tick at which it began
-    current: Current | None = None  # in addition to the sea's own, for all vehicles
-    gust: Gust | None = None
-    wrench: Wrench | None = None
-
-
-ACTIONS = tuple(FaultAction.model_fields)
+    @property
+    def values(self) -> Any:
+        """What a valid fault has behind the name of its kind."""
+        return getattr(self, self.kind.name)
 
 
 class FaultSection(FaultAction, FaultTimes):
@@ -276,33 +105,17 @@ class TriggerSection(Section):
 # --- nemesis: faults that the seed draws, on a grid of times or as a swarm
 
 
-# The kinds that need nothing but a target, which a nemesis draws.
-DrawnKind = Literal["partition", "down", "hold", "mute", "deaf", "kill", "pause", "freeze", "off", "stuck"]
-# The kinds of a swarm whose strength is drawn as well; loss, delay and rate are those of links.
-StrongKind = Literal[
-    "loss",
-    "delay",
-    "rate",
-    "duplicate",
-    "slow",
-    "clock",
-    "dvl",
-    "compass",
-    "fix",
-    "bias",
-    "noise",
-    "dropout",
-    "efficiency",
-    "gust",
-]
-WORDS: tuple[str, ...] = (*get_args(DrawnKind), *get_args(StrongKind))
+# What a condition of links may become; each is a kind of its own for a nemesis.
+CONDITIONS = ("loss", "delay", "rate")
+OF_TARGET = tuple(name for name, kind in KINDS.items() if kind.drawn == "target")  # and nothing else is drawn
+WORDS = (*OF_TARGET, *CONDITIONS, *(name for name, kind in KINDS.items() if kind.drawn == "strength"))
 Aim = Literal["any", "leader", "hub", "bridge", "speaker"]
 
 
 class NemesisPick(FaultAction):
     """A fault as it may come, or the name of one whose target, and perhaps strength, is drawn each time."""
 
-    drawn: DrawnKind | StrongKind | None = None
+    drawn: str | None = None
 
 
 def _pick(value: Any) -> Any:

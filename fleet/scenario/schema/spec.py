@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 from agents.config import OnError
 from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
+from fleet.scenario.faults.of_sensors import SensorsSection
 from fleet.scenario.schema.checks import ChecksSection
 from fleet.scenario.schema.control import (
     AgentChoice,
@@ -28,7 +29,7 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
-from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, SensorsSection, TriggerSection
+from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, TriggerSection
 from fleet.scenario.schema.groups import Group
 from fleet.scenario.schema.motion import (
     FormationSection,

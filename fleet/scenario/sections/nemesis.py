@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from fleet.scenario.faults.kind import OfLinks
+from fleet.scenario.faults.kinds import KINDS
+from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes, liveness, swarm
 from fleet.scenario.sections.ground import Ground, free_name
-from fleet.scenario.sections.timeline import action, vehicles_of
 from netem.condition import Link
 from netem.draws import bits
 from netem.grammar import Selector
@@ -68,7 +70,7 @@ def within_limit(
 
 def _silence(fault: FaultSection) -> tuple[int, float, frozenset[int]]:
     """From when to when a fault silences which vehicles [ns]."""
-    who = vehicles_of(fault) if action(fault) in swarm.SILENT else ()
+    who = fault.kind.vehicles(fault.values) if fault.kind.silences else ()
     return fault.at, float("inf") if fault.for_ is None else fault.at + fault.for_, frozenset(who)
 
 
@@ -105,7 +107,7 @@ def fault_count(nemesis: NemesisSection, ground: Ground) -> int:
 
 def _picks(nemesis: NemesisSection, links: Sequence[Link]) -> list[NemesisPick]:
     """The kinds of fault that may be drawn. A fleet of one keeps its scenario: faults that need a link are left out."""
-    return [pick for pick in nemesis.pick or () if links or pick.drawn not in ("partition", "down", "hold")]
+    return [pick for pick in nemesis.pick or () if links or not swarm.of_links(pick)]
 
 
 def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
@@ -117,10 +119,10 @@ def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
 
 
 def _target(kind: str, name: str, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
-    if kind == "partition":
+    if isinstance(KINDS[kind], PartitionFault):
         cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]
-    if kind in ("down", "hold"):
+    if isinstance(KINDS[kind], OfLinks):
         pairs = sorted({(min(link), max(link)) for link in links})
         return str(Selector(*pairs[_draw(spec, number, 1, len(pairs))], both=True))
     return str(1 + _draw(spec, number, 1, spec.vehicles))

@@ -15,18 +15,20 @@ meanwhile, because with any protocol the vehicle may tumble then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from functools import cache
-from math import cos, log, sin, tau
+from math import log
 from typing import Any, NamedTuple
 
-from fleet.quantities import show_time
+from fleet.scenario.faults.kind import OfFleet, OfLinks, Strength, between
+from fleet.scenario.faults.kinds import KINDS
+from fleet.scenario.faults.of_links import DownFault, PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
-from fleet.scenario.schema.faults import Aim, FaultSection, NemesisPick, NemesisSection
+from fleet.scenario.schema.faults import CONDITIONS, Aim, FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.sections.graph import beside, reached
 from fleet.scenario.sections.ground import Ground, Pair, free_name
-from netem.condition import Condition, Link
+from netem.condition import Condition
 from netem.draws import bits, uniform
 from netem.grammar import Selector, print_condition, select
 
@@ -118,120 +120,45 @@ def without(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int
     return frozenset(p for p in pairs if p not in cut and p[0] not in silent and p[1] not in silent)
 
 
-# --- strengths
-# How strong a fault of a swarm is: one number from 0 (mild) to 1 (strong) for each kind, on a logarithmic scale.
+# --- conditions of links
+# How strong a drawn condition is: one number from 0 (mild) to 1 (strong), on a logarithmic scale; the other kinds have
+# their own scale in `fleet.scenario.faults`.
 #
-# | kind | from | to |
+# | condition | from | to |
 # |---|---|---|
 # | loss | 5 % | 100 %, over the link's own condition |
 # | delay | a fifth of a round | 50 rounds more, with a quarter of it as jitter |
 # | rate | 20 kbit/s | 200 bit/s |
-# | duplicate | a second copy a fifth of a round later | 50 rounds later |
-# | slow | 1 tick | 5 rounds |
-# | clock | drift 20 ppm, step 1 ms | 2 %, 1 s; either sign |
-# | dvl, compass, fix | 5 % of the samples lost, or bias 2 cm/s, 1 deg, 1 m | all lost, or 0.5 m/s, 30 deg, 50 m |
-# | bias, noise | 0.1 m, 1 cm | 5 m, 1 m of the position |
-# | dropout | 10 % | 100 % |
-# | efficiency | 90 % | 10 % of each command |
-# | gust | 0.1 m/s | 1 m/s |
 
 
-OF_LINKS = frozenset({"loss", "delay", "rate", "duplicate", "hold"})
 MOST_CONDITIONS = 16  # links that keep their own condition below a fault; of more links it has one for all
 
 
-def between(low: float, high: float, strength: float) -> float:
-    """The value at `strength` (0 to 1) between `low` and `high` on a logarithmic scale, rounded to three digits."""
-    return float(f"{low * (high / low) ** strength:.3g}")
-
-
-def condition(kind: str, own: Condition, strength: float, ground: Ground) -> Condition:
+def condition(kind: str, own: Condition, strength: Strength) -> Condition:
     """The condition of a link with a fault of loss, delay or rate over its own."""
     match kind:
         case "loss":
-            return replace(own, loss=max(own.loss, between(0.05, 1.0, strength)), loss_model=None)
+            return replace(own, loss=max(own.loss, strength.between(0.05, 1.0)), loss_model=None)
         case "delay":
-            late = _later(strength, ground)
+            late = strength.later_ns
             return replace(own, delay_ns=own.delay_ns + late, jitter_ns=max(own.jitter_ns, late // 4))
-    rate = round(between(200.0, 20_000.0, 1.0 - strength))
+    rate = round(between(200.0, 20_000.0, 1.0 - strength.size))
     return replace(own, rate_bit_s=min(own.rate_bit_s or rate, rate))
 
 
-def _later(strength: float, ground: Ground) -> int:
-    """A time [ns] from a fifth of a round to 50 rounds, in whole ticks."""
-    tick = ground.spec.tick
-    return max(tick, round(between(0.2, 50.0, strength) * ground.round_ns) // tick * tick)
-
-
-def link_fault(kind: str, selector: str, links: tuple[Link, ...], strength: float, ground: Ground) -> dict[str, Any]:
+def link_fault(kind: str, selector: Selector, ground: Ground, strength: Strength) -> dict[str, str]:
     """A fault of links: each over the link's own condition, where that is one and the links are few."""
-    each = {link: condition(kind, ground.conditions.get(link, Condition()), strength, ground) for link in links}
+    links = select(selector, ground.links)
+    each = {link: condition(kind, ground.conditions.get(link, Condition()), strength) for link in links}
     if len(set(each.values())) == 1:
-        return {"link": {selector: print_condition(next(iter(each.values())))}}
+        return {str(selector): print_condition(next(iter(each.values())))}
     if len(each) <= MOST_CONDITIONS:
-        return {"link": {f"{a}->{b}": print_condition(one) for (a, b), one in each.items()}}
-    return {"link": {selector: print_condition(condition(kind, Condition(), strength, ground))}}
-
-
-# Makes a fault of one vehicle of its strength, and of a draw from 0 to 1: a sign, a direction, or one of two forms.
-_Make = Callable[[float, float, Ground], dict[str, Any]]
-
-
-def _slow(strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-    most = max(2, 5 * ground.round_ns // ground.spec.tick)
-    return {"by": f"{round(between(1, most, strength))} ticks"}
-
-
-def _clock(strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-    sign, step = "-" if turn < 0.5 else "", show_time(round(between(1e6, 1e9, strength)))
-    return {"step": f"{sign}{step}", "drift": f"{sign}{between(20, 20_000, strength):g} ppm"}
-
-
-def _instrument(bias: Callable[[float, float], str]) -> _Make:
-    def make(strength: float, turn: float, ground: Ground) -> dict[str, Any]:
-        if turn < 0.5:
-            return {"loss": f"{between(5, 100, strength):g} %"}
-        return {"bias": bias(strength, tau * 2.0 * (turn - 0.5))}
-
-    return make
-
-
-def _plane(low: float, high: float, unit: str, depth: str = " 0") -> Callable[[float, float], str]:
-    def make(strength: float, angle: float) -> str:
-        size = between(low, high, strength)
-        return f"{size * cos(angle):.3f} {size * sin(angle):.3f}{depth} {unit}"
-
-    return make
-
-
-def _heading(strength: float, angle: float) -> str:
-    return f"{'-' if angle < tau / 2 else ''}{between(1, 30, strength):g} deg"
-
-
-_KINDS: dict[str, _Make] = {
-    "slow": _slow,
-    "clock": _clock,
-    "dvl": _instrument(_plane(0.02, 0.5, "m/s")),
-    "compass": _instrument(_heading),
-    "fix": _instrument(_plane(1.0, 50.0, "m", "")),
-    "bias": lambda strength, turn, _: {"position": _plane(0.1, 5.0, "m")(strength, tau * turn)},
-    "noise": lambda strength, *_: {"position_noise": f"{between(0.01, 1.0, strength):g} m"},
-    "dropout": lambda strength, *_: {"loss": f"{between(10, 100, strength):g} %"},
-    "efficiency": lambda strength, *_: dict.fromkeys(
-        ("surge", "pitch", "yaw"), f"{between(0.1, 0.9, 1.0 - strength):g}"
-    ),
-}
-
-
-def gust(strength: float, turn: float, lasts_ns: int) -> dict[str, Any]:
-    """A current that rises and falls within the time of the fault, for all vehicles."""
-    return {"gust": {"velocity": _plane(0.1, 1.0, "m/s")(strength, tau * turn), "over": show_time(lasts_ns)}}
+        return {f"{a}->{b}": print_condition(one) for (a, b), one in each.items()}
+    return {str(selector): print_condition(condition(kind, Condition(), strength))}
 
 
 PURPOSE = "nemesis swarm"  # of the draws
 MOST = 5000  # faults that are drawn
-SILENT = frozenset({"mute", "kill", "pause"})  # kinds after whose end a vehicle speaks again
-HELD = frozenset({"pause", "stuck"})  # kinds during which a vehicle holds its last command
 _MOST_HELD_NS = 5_000_000_000
 _NETWORK = ("partition", "down", "loss", "delay", "rate", "mute", "deaf", "slow", "pause", "kill")
 _IDEAL = ("freeze", "off", "stuck", "bias", "noise", "dropout")
@@ -262,7 +189,12 @@ def picks_of(nemesis: NemesisSection, ground: Ground) -> list[NemesisPick]:
         names += ["clock"] * bool(ground.clocks) + ["dvl", "compass"] * bool(ground.navigators)
         names += ["fix"] * bool(ground.fixed)
         kinds = [NemesisPick.model_validate({"drawn": name}) for name in names]
-    return [pick for pick in kinds if ground.links or pick.drawn not in ("partition", "down", *OF_LINKS)]
+    return [pick for pick in kinds if ground.links or not of_links(pick)]
+
+
+def of_links(pick: NemesisPick) -> bool:
+    """Whether a pick by name needs links."""
+    return pick.drawn in CONDITIONS or isinstance(KINDS.get(pick.drawn or ""), OfLinks | PartitionFault)
 
 
 def span(nemesis: NemesisSection, ground: Ground) -> tuple[int, int]:
@@ -300,7 +232,8 @@ def draw(nemesis: NemesisSection, ground: Ground, until: int | None = None) -> l
         longest = max(ground.spec.duration / 2.0, least)
         lasts = least * (longest / least) ** uniform(seed, PURPOSE, number, _LENGTH)
         pick = on[bits(seed, PURPOSE, number, _KIND) % len(on)]
-        most = max(least, _MOST_HELD_NS // tick * tick) if pick.drawn in HELD else end - begin
+        kind = KINDS.get(pick.drawn or "")
+        most = end - begin if kind is None or not kind.holds_command else max(least, _MOST_HELD_NS // tick * tick)
         faults.append(
             DrawnFault(
                 number,
@@ -326,12 +259,10 @@ def written(drawn: Iterable[DrawnFault], ground: Ground) -> list[FaultSection]:
     faults: list[FaultSection] = []
     past = _Past(ground)
     for one in sorted(drawn, key=lambda fault: (fault.at, fault.number)):
-        body, cut, silent = _body(one, ground, past)
         for piece, (at, lasts) in enumerate(_times(one, ground), start=1):
             name = free_name(f"nemesis-{one.number}" + (f"-{piece}" if one.pieces > 1 else ""), taken)
             taken.add(name)
-            if one.pick.drawn == "gust":
-                body = gust(one.strength, _turn(one, ground), lasts)
+            body, cut, silent = _body(one, lasts, ground, past)
             faults.append(FaultSection.model_validate({"id": name, "at": f"{at} ns", "for": f"{lasts} ns", **body}))
         past.add(one, cut, silent)
     return sorted(faults, key=lambda fault: fault.at)
@@ -369,31 +300,32 @@ class _Past:
         return max(back)[1] if back else None
 
 
-def _body(one: DrawnFault, ground: Ground, past: _Past) -> tuple[dict[str, Any], set[Pair], set[int]]:
-    """The body of a fault, the pairs that it cuts, and the vehicles that it silences."""
-    kind = one.pick.drawn
-    if kind is None:
+def _body(one: DrawnFault, lasts: int, ground: Ground, past: _Past) -> tuple[dict[str, Any], set[Pair], set[int]]:
+    """The body of a fault of so many ns, the pairs that it cuts, and the vehicles that it silences."""
+    word = one.pick.drawn
+    if word is None:
         return one.pick.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True), set(), set()
-    if kind == "partition":
-        text = _partition(one, ground, past)
-        cut = partition(text, ground.spec.vehicles, ground.spec.seed, f"nemesis-{one.number}", ground.links)
-        return {kind: text}, {(min(link), max(link)) for link in cut}, set()
-    if kind == "down" or kind in OF_LINKS:
-        selector = _links(one, ground, past)
-        those = select(selector, ground.links)
-        if kind == "hold":
-            return {kind: str(selector)}, set(), set()
-        if kind == "duplicate":
-            return {kind: {"links": str(selector), "after": f"{_later(one.strength, ground)} ns"}}, set(), set()
-        if kind == "down":
-            return {kind: str(selector)}, {(min(link), max(link)) for link in those}, set()
-        return {"link": link_fault(kind, str(selector), those, one.strength, ground)["link"]}, set(), set()
-    if kind == "gust":
-        return {}, set(), set()
-    who = _vehicle(one, ground, past)
-    make = _KINDS.get(kind)
-    values = None if make is None else {"vehicles": str(who), **make(one.strength, _turn(one, ground), ground)}
-    return {kind: values or str(who)}, set(), {who} if kind in SILENT else set()
+    strength = Strength(one.strength, _turn(one, ground), ground.round_ns, ground.spec.tick, lasts)
+    if word in CONDITIONS:
+        return {"link": link_fault(word, _links(one, ground, past), ground, strength)}, set(), set()
+    kind, cut, silent = KINDS[word], set[Pair](), set[int]()
+    match kind:
+        case PartitionFault():
+            target = _partition(one, ground, past)
+            name = f"nemesis-{one.number}"
+            links = partition(target, ground.spec.vehicles, ground.spec.seed, name, ground.links)
+            cut = {(min(link), max(link)) for link in links}
+        case OfLinks():
+            selector = _links(one, ground, past)
+            target = str(selector)
+            if isinstance(kind, DownFault):
+                cut = {(min(link), max(link)) for link in select(selector, ground.links)}
+        case OfFleet():
+            target = ""
+        case _:
+            who = _vehicle(one, ground, past)
+            target, silent = str(who), {who} if kind.silences else silent
+    return {word: kind.of_strength(target, strength)}, cut, silent
 
 
 def _turn(one: DrawnFault, ground: Ground) -> float:
@@ -424,8 +356,8 @@ def _bridge(one: DrawnFault, ground: Ground, past: _Past) -> Pair | None:
 
 def _vehicle(one: DrawnFault, ground: Ground, past: _Past) -> int:
     """The vehicle of a fault, among those with the part that the fault breaks."""
-    has = {"clock": ground.clocks, "dvl": ground.navigators, "compass": ground.navigators, "fix": ground.fixed}
-    some = has.get(one.pick.drawn or "") or tuple(range(1, ground.spec.vehicles + 1))
+    has = {"clock": ground.clocks, "dead reckoning": ground.navigators, "fixes": ground.fixed}
+    some = has.get(KINDS[one.pick.drawn or ""].needs) or tuple(range(1, ground.spec.vehicles + 1))
     who = _aimed(one, ground, past)
     if who is None and (pair := _bridge(one, ground, past)) is not None:
         who = pair[_among(one, ground, _FORM, 2)]
@@ -440,7 +372,7 @@ def _links(one: DrawnFault, ground: Ground, past: _Past) -> Selector:
         ways = [Selector(who, None), Selector(None, who), Selector(None, who, both=True)]
         there = [way for way in ways if select(way, ground.links)]
         return there[form % len(there)]
-    if one.aim == "any" and form == 3 and one.pick.drawn in OF_LINKS:
+    if one.aim == "any" and form == 3 and one.pick.drawn != "down":
         return Selector(None, None)
     pair = _bridge(one, ground, past) or past.pairs[_among(one, ground, _TARGET, len(past.pairs))]
     if form == 0 and one.aim == "any":

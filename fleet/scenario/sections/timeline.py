@@ -17,26 +17,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 from msgspec import structs
 
-from fleet.quantities import vehicle_numbers
-from fleet.scenario.faults.partitions import partition
-from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
+from fleet.scenario.faults.kind import Kill, Part, Surroundings
+from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.node_names import named
 from fleet.scenario.sections.vehicle_events import is_fault
-from fleet.scenario.value_types import Section
 from netem.condition import Link
-from netem.fault_kinds import FaultKind, WorldFaultKind
 from netem.faults import NetFault
-from netem.grammar import parse_selector, print_condition, select
 from netem.lives import Absence
 from netem.wire.messages import TimedFault, WorldFault
 
-OF_THE_NETWORK: tuple[str, ...] = get_args(FaultKind)
-OF_THE_WORLD: tuple[str, ...] = tuple(kind for kind in WorldFaultKind if kind not in ("pause", "slow"))
 MOST_RESTARTS = 3  # of one agent that no fault has killed: its next life would end the same way
 
 
@@ -53,20 +46,6 @@ class Event:
     def is_fault(self) -> bool:
         """Whether it is a fault; a vehicle that tumbles is the consequence of one."""
         return is_fault(self.what)
-
-
-class Kill(TimedFault, frozen=True):
-    """Agents that end at tick `begin` and, unless `end` is None, are started again at tick `end`."""
-
-    vehicles: tuple[int, ...]
-    kind: str = "kill"
-
-    @property
-    def absences(self) -> list[Absence]:
-        return [Absence(i, self.begin, self.end) for i in self.vehicles]
-
-
-Part = NetFault | WorldFault | Kill  # of a fault: what one core does
 
 
 def with_end(part: Part, end: int) -> Part:
@@ -131,55 +110,13 @@ def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[
     """
     begin = section.at // spec.tick
     end = None if section.for_ is None else begin + section.for_ // spec.tick
-    kind, who = action(section), vehicles_of(section)
-    match kind:
-        case "link":
-            return [
-                NetFault(name, begin, end, "link", select(parse_selector(selector), links), (), condition)
-                for selector, condition in (section.link or {}).items()
-            ]
-        case "down" | "up":
-            return [NetFault(name, begin, end, kind, select(parse_selector(getattr(section, kind)), links))]
-        case "hold":
-            assert section.hold is not None
-            held = select(parse_selector(section.hold.links), links)
-            back = (1.0,) if section.hold.order == "reversed" else ()
-            return [NetFault(name, begin, end, kind, held, values=back)]
-        case "duplicate":
-            assert section.duplicate is not None
-            later, copied = section.duplicate.after // spec.tick, select(parse_selector(section.duplicate.links), links)
-            return [NetFault(name, begin, end, kind, copied, ticks=later)]
-        case "partition":
-            cut = partition(section.partition or "", spec.vehicles, spec.seed, name, links)
-            return [NetFault(name, begin, end, "partition", tuple(link for link in links if link in cut))]
-        case "mute" | "deaf":
-            return [NetFault(name, begin, end, kind, vehicles=who)]
-        case "slow":
-            assert section.slow is not None
-            vehicles = who or tuple(range(1, spec.vehicles + 1))
-            late = section.slow.by
-            return [
-                NetFault(name, begin, end, kind, vehicles=vehicles, ticks=late),
-                WorldFault(name, begin, end, WorldFaultKind.SLOW, who, (float(late),)),
-            ]
-        case "clock":
-            values = _numbers_of(section)
-            return [
-                NetFault(name, begin, end, kind, vehicles=who, values=values),
-                WorldFault(name, begin, end, WorldFaultKind.CLOCK, who, values),
-            ]
-        case "kill":
-            if end is not None:
-                # An agent begins again with a round: only then do agents send, and the network counts their messages.
-                m = 1 if spec.network.ideal else spec.network.period // spec.tick
-                end = -(-end // m) * m
-                end = end if end < spec.duration // spec.tick else None
-            return [Kill(name, begin, end, who)]
-        case "gust":
-            assert section.gust is not None
-            over = begin + -(-section.gust.over // spec.tick)
-            end = over if end is None else min(end, over)
-    return [WorldFault(name, begin, end, WorldFaultKind(kind), who, _numbers_of(section))]
+    return section.kind.parts(section.values, TimedFault(name, begin, end), surroundings(spec, links))
+
+
+def surroundings(spec: ScenarioSpec, links: Sequence[Link]) -> Surroundings:
+    """What a fault has to know of a run of this scenario."""
+    a_round = 1 if spec.network.ideal else spec.network.period // spec.tick
+    return Surroundings(spec.vehicles, spec.seed, tuple(links), spec.tick, a_round, spec.duration // spec.tick)
 
 
 def acts(found: Sequence[Part]) -> bool:
@@ -187,70 +124,12 @@ def acts(found: Sequence[Part]) -> bool:
     return any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found)
 
 
-def _numbers_of(section: FaultAction) -> tuple[float, ...]:
-    """The values of a fault of the world, as `WorldFault` lists them: mostly those of its keys in their order."""
-    if (b := section.bias) is not None:
-        return *b.position, b.pitch, b.yaw, *b.velocity, b.pitch_rate, b.yaw_rate, b.roll, b.roll_rate
-    if (s := section.saturate) is not None:
-        return tuple(_ANY if limit is None else limit for limit in (s.surge_force, s.pitch_moment, s.yaw_moment))
-    if (c := section.current) is not None:
-        return *c.mean, *c.sigma, c.time_constant / 1e9
-    if (g := section.gust) is not None:
-        return *g.velocity, g.over / 1e9
-    if section.clock is not None:
-        return section.clock.step / 1e9, section.clock.drift
-    values = getattr(section, action(section))
-    if not isinstance(values, Section):
-        return ()
-    each = [value if isinstance(value, tuple) else (value,) for key, value in values if key != "vehicles"]
-    return tuple(number for some in each for number in some)
-
-
-_ANY = 1e300  # N, N m: a limit that nothing reaches
-
-
-def does_nothing(section: FaultAction) -> bool:
-    """Whether the values of a fault are those of none."""
-    numbers = _numbers_of(section)
-    match action(section):
-        case "efficiency":
-            return all(number == 1.0 for number in numbers)
-        case "saturate":
-            return all(number == _ANY for number in numbers)
-        case "current":
-            return not any(numbers[:6])  # but for the time constant
-        case "gust":
-            return not any(numbers[:3])
-        case "dvl" | "compass" | "fix":
-            jumps = numbers[-2] and numbers[-1]
-            return not any(numbers[:-2]) and not jumps
-        case "noise" | "bias" | "wrench" | "dropout" | "clock":
-            return not any(numbers)
-    return False
-
-
-def vehicles_of(section: FaultAction) -> tuple[int, ...]:
-    """The vehicles that a fault names; none if it concerns all."""
-    value = getattr(section, action(section))
-    text = value if isinstance(value, str) else getattr(value, "vehicles", None)
-    if text is None or action(section) in ("down", "up", "partition"):
-        return ()
-    return tuple(vehicle_numbers(text))
-
-
-def action(section: FaultAction) -> str:
-    """The kind of a valid fault."""
-    return next(name for name in ACTIONS if getattr(section, name) is not None)
-
-
-def words(section: FaultAction, names: Sequence[str] = ()) -> str:
+def words(section: FaultSection, names: Sequence[str] = ()) -> str:
     """A fault as a scenario writes it, without its times. `names`: of the nodes, if it has some."""
-    name = action(section)
-    if name == "link":
-        assert section.link is not None
-        some = [f"{named(selector, names)}: {print_condition(c)}" for selector, c in section.link.items()]
-        return "link " + ", ".join(some)
+    name = section.kind.name
     value = section.model_dump(exclude_none=True, exclude_defaults=True)[name]
+    if name == "link":
+        return "link " + ", ".join(f"{named(selector, names)}: {condition}" for selector, condition in value.items())
     if isinstance(value, dict):
         return f"{name} {{{', '.join(f'{key}: {inner}' for key, inner in value.items())}}}"
     return f"{name} {named(value, names)}"

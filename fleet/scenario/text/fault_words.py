@@ -19,32 +19,10 @@ from typing import Any, NamedTuple
 
 from fleet.errors import FleetError, Problem
 from fleet.quantities import TIME
-from fleet.scenario.schema.faults import ACTIONS, FaultAction
+from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.text.yaml_reader import Mapping, Node, Scalar, Source, TextPlace, plain
-from fleet.scenario.value_types import section_of
 from netem.parsing import exact_number, nearest, quoted
 
-_EXAMPLES = {
-    "link": "link 1<->2 delay 500ms loss 20%",
-    "down": "down 2->3",
-    "up": "up 2->3",
-    "partition": "partition 1,2 / 3,4",
-    "hold": "hold 1->2",
-    "duplicate": "duplicate links=1->2 after=3s",
-    "noise": "noise vehicles=2 position_noise=10cm",
-    "bias": "bias vehicles=2 position=1 0 0 m",
-    "dropout": "dropout vehicles=2 loss=30%",
-    "slow": "slow vehicles=2 by=5 ticks",
-    "clock": "clock vehicles=2 step=200ms",
-    "gust": "gust velocity=0 0.5 0 m/s over=10s",
-    "current": "current 0.2 0 0 m/s",
-    "dvl": "dvl vehicles=2 loss=100%",
-    "compass": "compass vehicles=2 bias=10 deg",
-    "fix": "fix vehicles=2 jump=20 m",
-    "efficiency": "efficiency vehicles=2 surge=50%",
-    "saturate": "saturate vehicles=2 yaw_moment=2 N m",
-    "wrench": "wrench vehicles=2 force=1 0 0 N",
-}  # the other kinds take vehicles alone
 _WORD = re.compile(r"[^\s'\"{}]+")
 _KEY = re.compile(r"([a-z_]+)[=:]")
 
@@ -81,7 +59,7 @@ def link_entries(source: Source) -> Mapping:
 
 def example(kind: str) -> str:
     """A fault of this kind in words."""
-    return _EXAMPLES.get(kind, f"{kind} 3")
+    return KINDS[kind].example
 
 
 class _Word(NamedTuple):
@@ -103,8 +81,8 @@ class _Reader:
         if not self.words:
             raise self._wrong(None, "expected a fault, got nothing", f"as in {example('partition')}")
         kind = self.words.popleft()
-        if kind.text not in ACTIONS:
-            hint = nearest(kind.text, ACTIONS) or f"there are {', '.join(ACTIONS)}"
+        if kind.text not in KINDS:
+            hint = nearest(kind.text, tuple(KINDS)) or f"there are {', '.join(KINDS)}"
             raise self._wrong(kind, f'no fault is called "{kind.text[:40]}"', hint)
         return self._with_new(fault, kind.text, kind, self._target(kind))
 
@@ -127,8 +105,8 @@ class _Reader:
     def _target(self, kind: _Word) -> Node:
         if kind.text == "link":
             return self.links(kind)
-        keyed = section_of(FaultAction.model_fields[kind.text].annotation) is not None
-        if keyed and (kind.text not in ("current", "hold") or any(_KEY.match(word.text) for word in self.words)):
+        found = KINDS[kind.text]
+        if found.section is not None and (not found.one_word or any(_KEY.match(word.text) for word in self.words)):
             return self._pairs(kind)
         if not self.words:
             raise self._wrong(kind, f"{kind.text} of what?", f"as in {example(kind.text)}")

@@ -44,7 +44,7 @@ ALL = ((1, 2, 3, 4),)
         (("mute 2",), ((1,), (2,), (3, 4))),
         (("deaf 2-3",), ((1,), (2,), (3,), (4,))),
         (("pause 4",), ((1, 2, 3),)),
-        (("slow {vehicles: 1, by: 5}", "link *: loss 60%"), ALL),
+        (("slow {vehicles: 1, by: 5 ticks}", "link *: loss 60%"), ALL),
     ],
 )
 def test_faults_cut(faults: tuple[str, ...], groups: tuple[tuple[int, ...], ...]) -> None:

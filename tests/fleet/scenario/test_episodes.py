@@ -13,7 +13,6 @@ from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import episodes
-from fleet.scenario.sections.timeline import action
 from fleet.study.bare_run import bare_verdicts
 from netem import draws
 
@@ -68,7 +67,7 @@ def test_faults_lie_in_the_first_half_of_an_episode_but_for_those_that_stay(seed
         begin = max(at for at in begins if at <= fault.at)
         assert fault.at < begin + 3 * unit
         if fault.for_ is None:
-            assert begin == begins[-1] and action(fault) in ("partition", "kill")
+            assert begin == begins[-1] and fault.kind.name in ("partition", "kill")
         else:
             assert s.ground.round_ns <= fault.for_ <= begin + 3 * unit - fault.at
     for trigger in s.spec.triggers:
@@ -81,7 +80,7 @@ def test_faults_lie_in_the_first_half_of_an_episode_but_for_those_that_stay(seed
 
 def test_every_kind_and_every_size_of_target_is_drawn() -> None:
     drawn = [fault for seed in range(60) for fault in moored(f"seed={seed}").spec.faults]
-    assert {action(fault) for fault in drawn} == set(episodes.KINDS)
+    assert {fault.kind.name for fault in drawn} == set(episodes.KINDS)
     assert {len((fault.kill or "").split(",")) for fault in drawn if fault.kill} == {1, 2, 3, 4}
     assert {fault.hold.order for fault in drawn if fault.hold} == {"sent", "reversed"}
 
@@ -122,12 +121,12 @@ def test_what_some_seeds_draw_is_counted_by_kind() -> None:
     kinds, faults = episodes.counted(s.undrawn.nemesis, s.ground, range(1, 61))
     assert kinds.total() == 60 * len(plan(s).begins) and set(kinds) == {"isolations", "splits", "mixed"}
     drawn = [moored(f"seed={seed}", "nemesis.watch=null").spec.faults for seed in range(1, 61)]
-    assert faults == Counter(action(fault) for some in drawn for fault in some)
+    assert faults == Counter(fault.kind.name for some in drawn for fault in some)
 
 
 def test_only_kinds_that_are_picked_are_drawn() -> None:
     drawn = [f for seed in range(20) for f in moored(f"seed={seed}", "nemesis.pick=[kill, duplicate]").spec.faults]
-    assert {action(fault) for fault in drawn} == {"kill", "duplicate"}
+    assert {fault.kind.name for fault in drawn} == {"kill", "duplicate"}
 
 
 def test_how_likely_a_pattern_is() -> None:

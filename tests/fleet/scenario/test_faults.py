@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any, get_args
@@ -16,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live import LiveRun
 from refusals import check_refusals
-from small_scenario import read_back, small
+from small_scenario import SMALL, read_back, small
 
 from fleet.analysis.stability import analyse
 from fleet.execution.execute import execute
@@ -24,10 +26,10 @@ from fleet.execution.options import Options
 from fleet.result.result import Result, Status
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.loading import load_scenario
-from fleet.scenario.schema.faults import ACTIONS, DrawnKind
+from fleet.scenario.schema.faults import ACTIONS
 from netem.condition import Condition
 from netem.config import NetemConfig
-from netem.fault_kinds import FaultKind, WorldFaultKind
+from netem.fault_kinds import NetFaultKind, WorldFaultKind
 from netem.faults import NO_FAULTS, NetFault, active_faults
 from netem.lives import Absence
 from netem.network import Netem
@@ -219,8 +221,90 @@ def test_a_timeline_compiles_and_prints_back() -> None:
 
 def test_every_kind_of_fault_has_a_core() -> None:
     """The schema lists the kinds; what no core knows would be accepted and do nothing."""
-    assert set(ACTIONS) == {*get_args(FaultKind), "kill", *WorldFaultKind}
-    assert set(get_args(DrawnKind)) <= set(ACTIONS)
+    assert set(ACTIONS) == {*get_args(NetFaultKind), "kill", *WorldFaultKind}
+
+
+SQUALL = '''
+from typing import Any
+
+from fleet.scenario import value_types as v
+from fleet.scenario.faults import of_motion
+from fleet.scenario.faults.kind import OfVehicles, Part, SomeVehicles, Strength, Surroundings, of_network, of_world
+from netem.fault_kinds import WorldFaultKind
+from netem.wire.messages import TimedFault
+
+
+class SquallKeys(SomeVehicles):
+    force: v.Force = 0.0
+
+
+class SquallFault(OfVehicles):
+    """A push to the north, under which nothing is heard."""
+
+    value = SquallKeys
+    example = "squall vehicles=2 force=3 N"
+    acts_on = "agent"
+    drawn = "strength"
+    every_number_strengthens = True
+    offers = (("squall", "squall vehicles={0} force=3 N"),)
+
+    def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
+        who = self.vehicles(values)
+        push = of_world(times, WorldFaultKind.WRENCH, who, (values.force, 0.0, 0.0, 0.0, 0.0))
+        return [push, of_network(times, "deaf", vehicles=who)]
+
+    def values_of_strength(self, strength: Strength) -> dict[str, str]:
+        return {"force": f"{strength.between(1, 10):g} N"}
+
+
+of_motion.OF_MOTION = (*of_motion.OF_MOTION, SquallFault())  # the one line
+'''
+ASKED = """
+import click
+import squall
+import fleet
+from fleet.errors import ScenarioError
+from fleet.cli.completion import injection
+from fleet.scenario.faults.kind import OfVehicles
+from fleet.scenario.loading import load_scenario
+from fleet.scenario.text.fault_words import read_fault
+from fleet.study.targets import targets
+from fleet.view.page import suggestions
+print(read_fault(squall.SquallFault.example))
+context = click.Context(click.Command("inject"))
+context.params = {"what": ("squall",)}
+print([item.value for item in injection(context, None, "")])
+print(suggestions(OfVehicles, "2")["squall"])
+print(targets("squall", {"vehicles": "1,2", "force": "3 N"}, 4, 1, "f1").items)
+nemesis = "nemesis={mode: swarm, pick: [squall], mean: 1 s}"
+drawn = [load_scenario("small.yaml", [nemesis, "duration=10 s", f"seed={seed}"]).spec.faults for seed in range(4)]
+print({fault.kind.name for some in drawn for fault in some})
+for force in (3, 0):
+    fault = f"{{at: 500 ms, squall: {{vehicles: 2, force: {force} N}}}}"
+    try:
+        plain, pushed = (fleet.run("small.yaml", set=[f"faults=[{one}]", "duration=2 s"]) for one in ("", fault))
+    except ScenarioError as error:
+        print(str(error).splitlines()[0].partition("]: ")[2])
+    else:
+        print(pushed.values["ledger"]["1->2"]["lost"], plain.digest != pushed.digest)
+"""
+
+
+def test_a_new_kind_is_one_file_and_one_line(tmp_path: Path) -> None:
+    """The schema, `inject`, completion, page, nemesis, `shrink` and a run know it; and a value that does nothing."""
+    (tmp_path / "squall.py").write_text(SQUALL, "utf-8")
+    (tmp_path / "small.yaml").write_text(SMALL, "utf-8")
+    (tmp_path / "asked.py").write_text(ASKED, "utf-8")
+    done = subprocess.run([sys.executable, "asked.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == [
+        "{'squall': {'vehicles': '2', 'force': '3 N'}}",
+        "['vehicles=', 'force=']",
+        "squall vehicles=2 force=3 N",
+        "[1, 2]",
+        "{'squall'}",
+        "{'deaf': 30} True",
+        "faults.1.squall: changes nothing: give it a value",
+    ], done.stderr
 
 
 def test_a_fault_behind_the_end_is_warned_of() -> None:

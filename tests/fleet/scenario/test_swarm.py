@@ -11,14 +11,14 @@ from small_scenario import read_back, small
 
 from fleet.execution.stepped_run import judged
 from fleet.quantities import vehicle_numbers
+from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import WORDS, FaultSection, NemesisPick
 from fleet.scenario.sections import liveness, swarm
 from fleet.scenario.sections.graph import beside, reached
 from fleet.scenario.sections.nemesis import within_limit
-from fleet.scenario.sections.swarm import HELD, DrawnFault
-from fleet.scenario.sections.timeline import action, vehicles_of
+from fleet.scenario.sections.swarm import DrawnFault
 from netem.fault_kinds import WorldFaultKind
 
 S = 10**9
@@ -36,7 +36,8 @@ def test_the_seed_draws_kinds_number_beginning_length_and_strength() -> None:
     kinds = [len({fault.pick.drawn for fault in run}) for run in runs if len(run) > 15]
     assert 2 < mean(kinds) < 7 and len({fault.pick.drawn for fault in all_faults}) == 10  # of ten, each with 1/2
     assert min(map(len, runs)) <= 1 and max(map(len, runs)) > 20
-    inner = [fault for fault in all_faults if fault.at < 20 * S and fault.pick.drawn not in HELD]
+    holding = {name for name, kind in KINDS.items() if kind.holds_command}
+    inner = [fault for fault in all_faults if fault.at < 20 * S and fault.pick.drawn not in holding]
     shares = [log(fault.lasts / 50e6) / log(50 * S / 50e6) for fault in inner]  # log-uniform from a round to half a run
     assert mean(shares) == pytest.approx(0.5, abs=0.06) and min(shares) >= 0 and max(shares) > 0.97
     assert mean(fault.strength for fault in all_faults) == pytest.approx(0.5, abs=0.04)
@@ -56,7 +57,7 @@ def test_what_is_drawn_is_a_list_before_the_run_and_makes_the_same_run() -> None
     seen = set()
     for seed in range(1, 13):
         s = small(words, *more, f"seed={seed}")
-        seen |= {action(fault) for fault in s.spec.faults}
+        seen |= {fault.kind.name for fault in s.spec.faults}
         again = read_back(s)
         assert again.undrawn.nemesis is None
         result = judged(s)
@@ -73,7 +74,7 @@ def aimed(s: Scenario, *faults: tuple[str, str, float, float]) -> list[str]:
         for n, (kind, aim, at, lasts) in enumerate(faults, start=1)
     ]
     written = swarm.written(those, s.ground)
-    return [str(getattr(fault, action(fault))) for fault in written]
+    return [str(getattr(fault, fault.kind.name)) for fault in written]
 
 
 def test_aims_go_by_the_graph_and_by_what_was_before() -> None:
@@ -120,7 +121,7 @@ def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
         inside = [pair for pair in s.ground.pairs if set(pair) <= core]
         assert len(core) == 4 and reached([min(core)], beside(inside)) == core
         lasting = [fault for fault in s.spec.faults if fault.for_ is None]
-        hit = {int(str(getattr(fault, action(fault))).removeprefix("isolate:")) for fault in lasting}
+        hit = {int(str(getattr(fault, fault.kind.name)).removeprefix("isolate:")) for fault in lasting}
         assert hit == {1, 2, 3, 4, 5, 6} - core
         assert all(fault.at + fault.for_ <= 50 * S for fault in s.spec.faults if fault.for_ is not None)
         last, never = s.spec.checks.signal or []
@@ -136,11 +137,11 @@ def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
 def test_vehicles_that_lack_an_instrument_are_not_hit_there() -> None:
     some = "per_vehicle={2: {agent: {clock: {drift: 20 ppm}}}}"
     s = small(*LONG, some, "nemesis={mode: swarm, mean: 1 s, pick: [clock]}")
-    assert {i for fault in s.spec.faults for i in vehicles_of(fault)} == {2}
+    assert {i for fault in s.spec.faults for i in fault.kind.vehicles(fault.values)} == {2}
     plain = small(*LONG)
     assert not {"clock", "compass"} & {pick.drawn for pick in swarm.picks_of(plain.undrawn.nemesis, plain.ground)}
     ideal = load_scenario("ideal", ["nemesis={mode: swarm, mean: 1 s}"])
-    assert {action(fault) for fault in ideal.spec.faults} <= set(WorldFaultKind)
+    assert {fault.kind.name for fault in ideal.spec.faults} <= set(WorldFaultKind)
 
 
 SWARM = ("duration=60 s", "vehicles=5", "graph={shape: ring}")
@@ -154,9 +155,9 @@ def fault(at: str, **more: str) -> FaultSection:
 def silent_at_once(scenario: Scenario) -> int:
     """The most vehicles that are silent at a time."""
     spells = [
-        (one.at, one.at + (one.for_ or scenario.duration_ns), vehicles_of(one))
+        (one.at, one.at + (one.for_ or scenario.duration_ns), one.kind.vehicles(one.values))
         for one in scenario.spec.faults
-        if action(one) in ("kill", "mute", "pause")
+        if one.kind.name in ("kill", "mute", "pause")
     ]
     return max((len({i for a, b, who in spells if a <= at < b for i in who}) for at, _, _ in spells), default=0)
 

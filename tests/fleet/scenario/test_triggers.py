@@ -14,7 +14,6 @@ from fleet.execution.stepped_run import judged
 from fleet.execution.triggered import fired
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.timeline import action
 from fleet.scenario.trust import Policy
 from fleet.study.bare_run import _BareRun
 
@@ -44,7 +43,7 @@ def begun(triggers: str, samples: Sequence[Sequence[float | None]], *changes: st
     found = []
     for tick, row in enumerate(samples):
         known = {(i, "control"): (value, *[0.0] * 5) for i, value in enumerate(row, 1) if value is not None}
-        found += [(fault.at // (S // 10), str(getattr(fault, action(fault))))
+        found += [(fault.at // (S // 10), str(getattr(fault, fault.kind.name)))
                   for fault in running.look(LoggedValues(tick, known))]  # fmt: skip
     return found
 

@@ -17,7 +17,6 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.timeline import action, vehicles_of
 from fleet.study.one_run import Task
 from fleet.study.row import CheckRow, Row
 from fleet.study.shrink import Shrinker, ddmin, number_places
@@ -101,11 +100,11 @@ def test_exactly_the_vehicles_that_a_failure_needs_are_left(kind: str, needed: s
 def test_also_of_a_fault_with_values_that_names_none(needed: set[int]) -> None:
     def fails(s: Scenario) -> bool:
         every = [*range(1, s.vehicles + 1)]
-        return any(needed <= {*(vehicles_of(fault) or every)} for fault in s.spec.faults)
+        return any(needed <= {*(fault.kind.vehicles(fault.values) or every)} for fault in s.spec.faults)
 
     _, left = least("noise: {position_noise: 1 cm}", fails, "name=x")
-    assert {*(vehicles_of(left) or range(1, 7))} >= needed
-    assert len(vehicles_of(left) or needed) == len(needed)
+    assert {*(left.kind.vehicles(left.values) or range(1, 7))} >= needed
+    assert len(left.kind.vehicles(left.values) or needed) == len(needed)
 
 
 @pytest.mark.parametrize("text", ["1,2 / 3,4 / 5,6", "halves", "majority", "1,2 / 3"])
@@ -127,7 +126,7 @@ def test_a_partition_cuts_off_no_more_vehicles_than_a_failure_needs(text: str, l
                                    "link: {{'{}': loss 30%}}"])  # fmt: skip
 def test_a_fault_of_links_is_left_on_the_one_that_a_failure_needs(fault: str, text: str) -> None:
     def selectors(s: Scenario) -> list[str]:
-        values = [getattr(each, action(each)) for each in s.spec.faults]
+        values = [getattr(each, each.kind.name) for each in s.spec.faults]
         return [one for value in values for one in ([value] if isinstance(value, str)
                 else [*value] if isinstance(value, dict) else [value.links])]  # fmt: skip
 

@@ -9,14 +9,17 @@ from refusals import check_refusals
 from small_scenario import small
 from tool import invoke
 
+from fleet.scenario.faults.kind import FaultKind, OfLinks, OfVehicles
 from fleet.scenario.text.fault_words import read_fault
 from fleet.view import page as words
 
 
-@pytest.mark.parametrize(("kind", "target"), [("link", "1->2"), ("vehicle", "2"), ("fleet", "")])
-def test_every_suggestion_is_a_fault(kind: str, target: str) -> None:
+@pytest.mark.parametrize(("kind", "target"), [(OfLinks, "1->2"), (OfVehicles, "2"), (FaultKind, "")])
+def test_every_suggestion_is_a_fault(kind: type[FaultKind], target: str) -> None:
     scenario = small("duration=60 s")
-    for name, text in words.suggestions(kind, target).items():
+    offered = words.suggestions(kind, target)
+    assert offered
+    for name, text in offered.items():
         assert words.entry(text, "5s", scenario, 100)["for"] == "5s", name
 
 

@@ -1,0 +1,16 @@
+"""All kinds of faults. A new one is a class and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from fleet.scenario.faults.kind import FaultKind
+from fleet.scenario.faults.of_agents import OF_AGENTS
+from fleet.scenario.faults.of_links import OF_LINKS
+from fleet.scenario.faults.of_motion import OF_MOTION
+from fleet.scenario.faults.of_sensors import OF_SENSORS
+
+_ALL = (*OF_LINKS, *OF_AGENTS, *OF_SENSORS, *OF_MOTION)
+KINDS: Mapping[str, FaultKind] = MappingProxyType({kind.name: kind for kind in _ALL})
+OF_ROBOTS = tuple(name for name, kind in KINDS.items() if kind.acts_on == "network")  # that are not ours, too

@@ -11,11 +11,11 @@ import msgspec
 from msgspec import Meta
 
 from agents.errors import AgentError
+from netem.limits import CONNECTION_FILE
 from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private, write_whole
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.messages import PROTOCOL_VERSION
 
-MAX_BYTES = 1_000_000  # of a join file, with certificates
 # As zenoh writes it; the socket is that of a run on this host, of this user.
 ENDPOINT = re.compile(r"(tcp|tls)/(?P<host>[^?#]+):(?P<port>[0-9]{1,5})([?#].*)?|unixsock-stream/(?P<path>/[^?#]+)")
 _ONE_HOST = {"ca": "", "certificate": "", "key": "", "lease_ms": LEASE_MS}  # left out of the file
@@ -70,7 +70,7 @@ class JoinFile(msgspec.Struct, frozen=True):
         file; JoinError if it cannot be read, or is of another protocol version.
         """
         try:
-            data = read_private(path, MAX_BYTES)
+            data = read_private(path, CONNECTION_FILE.bytes)
             version = parse_json(data, _Version).version
             if version != PROTOCOL_VERSION:
                 raise JoinError(

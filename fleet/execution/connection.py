@@ -15,6 +15,7 @@ from fleet.execution.directory import CONNECTION, OBSERVE, in_use
 from fleet.execution.registry import registered
 from fleet.logs.topic_names import RUN_NAME
 from netem.errors import BusError
+from netem.limits import CONNECTION_FILE
 from netem.private_file import DamagedFile, parse_json, read_file
 from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.bus import Bus
@@ -22,7 +23,6 @@ from netem.wire.keys import Keys
 from netem.wire.shell import read_map, request
 
 ASK_S = 5.0
-MOST_BYTES = 100_000  # of a connection file, with certificates
 
 
 class RemoteError(FleetError):
@@ -200,7 +200,7 @@ def ask(run: LiveRun, op: str, **fields: Any) -> dict[str, Any]:
 def _read(directory: Path) -> LiveRun | None:
     """None: there is no connection file that is ours, or another user owns it."""
     try:
-        values = parse_json(read_file(directory / CONNECTION, MOST_BYTES), ConnectionFile)
+        values = parse_json(read_file(directory / CONNECTION, CONNECTION_FILE.bytes), ConnectionFile)
     except (OSError, DamagedFile):
         return None
     credentials = Credentials.from_values(msgspec.structs.asdict(values))

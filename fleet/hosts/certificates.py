@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
+from netem.limits import CREDENTIALS
 from netem.private_file import ExposedFile, read_file, read_private, write_whole
 
 CA, SERVER = "ca", "server"
 OWN = "fleet"  # what the run's own processes show to a router that asks for certificates
 ALWAYS = ("localhost", "127.0.0.1")
-_MOST_BYTES = 1_000_000  # of a certificate or key
 _SKEW = timedelta(hours=1)  # a host's clock may be late
 _LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
@@ -231,7 +231,7 @@ def _again(directory: Path, agents: str = "") -> str:
 
 def _read(file: Path, *, private: bool = False) -> str:
     try:
-        return (read_private if private else read_file)(file, _MOST_BYTES).decode("ascii")
+        return (read_private if private else read_file)(file, CREDENTIALS.bytes).decode("ascii")
     except ExposedFile as error:
         raise FleetError(str(error)) from None
     except FileNotFoundError:

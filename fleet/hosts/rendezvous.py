@@ -26,6 +26,7 @@ from fleet.hosts.certificates import (
     read_server,
 )
 from fleet.hosts.certificates import path as certificate_path
+from netem.limits import CREDENTIALS
 from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private, write_whole
 from netem.wire.access import Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
@@ -83,7 +84,6 @@ class JoinFolder:
 # Between hosts. A pull of up to a third of it is carried: the last sign of life may be a quarter of the lease old when
 # it begins, and TCP's next attempt may come as late again as the pull was long.
 LEASE_MS = 20_000
-MOST_BYTES = 1_000_000  # of a credentials file
 CERTIFIED = "--listen-certified"  # the option, for errors
 RUN_ID = r"^(?=.*[A-Za-z0-9])[A-Za-z0-9_-]{1,64}$"  # one piece of a key expression
 IN_CLEAR = (
@@ -323,7 +323,7 @@ def read_credentials(file: Path, vehicles: int) -> tuple[str, dict[str, Credenti
     """
     again = "make it with fleet hosts acl SCENARIO -o DIR"
     try:
-        found = parse_json(read_private(file, MOST_BYTES), _CredentialsFile)
+        found = parse_json(read_private(file, CREDENTIALS.bytes), _CredentialsFile)
     except OSError as error:
         raise FleetError(f"{file} cannot be read: {error.strerror}; {again}") from None
     except ExposedFile as error:

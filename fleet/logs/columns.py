@@ -13,10 +13,11 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Schema
 
-from fleet.logs.decoder import MOST_DECODED, message_class
+from fleet.logs.decoder import message_class
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
 from fleet.logs.schemas import head
+from netem.limits import LOG_MESSAGE
 
 _WORDS = 4096  # different texts of a column that are held once only
 _NESTED = 20  # times as large as its bytes is a message that is held as an object, about
@@ -53,9 +54,9 @@ class Columnizer:
         """
         if self._make is None:
             return {"data": objects(_split(data, lengths))}
-        if len(lengths) and lengths.max() > MOST_DECODED:
+        if len(lengths) and lengths.max() > LOG_MESSAGE.bytes:
             raise LogReadError(
-                f"{self._name}: a message of {lengths.max()} bytes, more than the {MOST_DECODED} decoded"
+                f"{self._name}: a message of {lengths.max()} bytes, more than the {LOG_MESSAGE.bytes} decoded"
             )
         try:
             quick = self._structured(self._make, data, lengths)

@@ -15,10 +15,9 @@ from mcap.records import Channel, Schema
 from fleet.logs.reader import LogReader, LogReadError, Record
 from fleet.logs.schemas import OURS, MessageField
 from fleet.scenario.sections.signals import component
+from netem.limits import LOG_MESSAGE
 
 UNITS = "units"  # what of a channel's metadata says them, as JSON: field -> [unit, meaning]
-MOST_DECODED = 8 << 20  # bytes of a message: decoded, it takes up to fifty times as much
-MOST_VALUES = 100_000  # of a message that is shown field by field
 
 
 class FieldValue(NamedTuple):
@@ -30,9 +29,9 @@ class FieldValue(NamedTuple):
 
 
 def decoded(cls: Any, data: bytes) -> Any:
-    """Decode a message of a protobuf class. Raises DecodeError if it is damaged, or longer than MOST_DECODED."""
-    if len(data) > MOST_DECODED:
-        raise DecodeError(f"a message of {len(data)} bytes, more than the {MOST_DECODED} that are decoded")
+    """Decode a message of a protobuf class. Raises DecodeError if it is damaged, or longer than LOG_MESSAGE.bytes."""
+    if len(data) > LOG_MESSAGE.bytes:
+        raise DecodeError(f"a message of {len(data)} bytes, more than the {LOG_MESSAGE.bytes} that are decoded")
     return cls.FromString(data)
 
 
@@ -49,8 +48,8 @@ class Decoder:
         if message is None:
             return [FieldValue("bytes", record.data, "")]
         units = self._known[record.topic][1]
-        values = list(islice(_flat(message, units), MOST_VALUES + 1))
-        return values if len(values) <= MOST_VALUES else [FieldValue("bytes", record.data, "")]
+        values = list(islice(_flat(message, units), LOG_MESSAGE.items + 1))
+        return values if len(values) <= LOG_MESSAGE.items else [FieldValue("bytes", record.data, "")]
 
     def message(self, record: Record) -> Any:
         """The protobuf message of a record; None if it is none."""

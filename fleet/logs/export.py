@@ -28,9 +28,10 @@ from fleet.logs.reader import LogReader, Tell
 from fleet.logs.records import Array, Block
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
-from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable
+from fleet.scenario.sections.trace_table import TraceRow, TraceTable
 from fleet.scenario.text.yaml_reader import yaml_text
 from netem.fault_kinds import Cause
+from netem.limits import TRACE
 from netem.private_file import part_of, write_whole
 
 # --- traces: `fleet export --traces`: what became of each packet of a link, as a trace that a scenario can use again
@@ -59,8 +60,8 @@ def write_traces(
         topic = log[link_topic((src, dst))]
         name = f"{src}-{dst}.csv"
         table = link_trace(topic, tick_ns, say)
-        if len(table.rows) > MOST_ROWS:
-            raise FleetError(f"{topic.name} has {len(table.rows)} packets; a trace holds {MOST_ROWS} at most")
+        if len(table.rows) > TRACE.items:
+            raise FleetError(f"{topic.name} has {len(table.rows)} packets; a trace holds {TRACE.items} at most")
         if table.rows:
             texts[name] = table.text()
             links[f"{src}->{dst}"] = {"trace": name, "by": "packet"}

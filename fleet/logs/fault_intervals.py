@@ -10,8 +10,7 @@ from msgspec import Meta, Struct
 from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
 from fleet.quantities import QuantityError, vehicle_numbers
-
-MOST_EVENTS = 200_000  # of faults
+from netem.limits import LOG_FAULTS
 
 
 def kind_and_vehicles(what: str) -> tuple[str, Sequence[int]]:
@@ -46,10 +45,12 @@ class FaultTime(Struct, frozen=True):
 
 def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
     """Faults and events of vehicles, in the order of their beginnings, from a message for each begin and each end. One
-    without an end lasts to `end` of the log [s]. Raises LogReadError for more than MOST_EVENTS messages.
+    without an end lasts to `end` of the log [s]. Raises LogReadError for more than LOG_FAULTS.items messages.
     """
-    if len(topic) > MOST_EVENTS:
-        raise LogReadError(f"the log holds {len(topic)} events of faults, more than the {MOST_EVENTS} that are read")
+    if len(topic) > LOG_FAULTS.items:
+        raise LogReadError(
+            f"the log holds {len(topic)} events of faults, more than the {LOG_FAULTS.items} that are read"
+        )
     if not len(topic):
         return []
     return intervals(zip(topic.t, topic["fault"], topic["action"], topic["what"], strict=True), end)

@@ -12,14 +12,14 @@ from msgspec import Meta, Struct
 
 from fleet.errors import printable
 from fleet.logs.decoder import Decoder
-from fleet.logs.fault_intervals import MOST_EVENTS, FaultInterval, FaultTime, intervals
+from fleet.logs.fault_intervals import FaultInterval, FaultTime, intervals
 from fleet.logs.reader import LogReader, Record, Tell, log_path, log_size
 from fleet.scenario.sections.vehicle_events import VehicleEvents, is_fault, vehicle_events
+from netem.limits import LOG_FAULTS
 
 MOST_TOPICS = 100  # in words one by one
 MOST_FAULTS = 20
 _WIDTH = 100  # characters; behind a longer name of a topic, numbers stand where they may
-_MOST_TEXT = 32 << 20  # bytes of the messages about faults
 
 
 class Info(Struct, frozen=True):
@@ -55,7 +55,7 @@ def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
         last = max(last, int(block.log_ns.max()))
         for record in reader.within(block, ["faults"]):
             held += len(record.data)
-            if len(happened) < MOST_EVENTS and held <= _MOST_TEXT:
+            if len(happened) < LOG_FAULTS.items and held <= LOG_FAULTS.bytes:
                 happened.append(record)
             else:
                 unread += 1
@@ -115,7 +115,7 @@ def info_text(info: Info) -> str:
 def _happened(info: Info) -> list[str]:
     lines = []
     if info.unread:
-        limits = f"the first {MOST_EVENTS}, or {_MOST_TEXT >> 20} MiB, of them"
+        limits = f"the first {LOG_FAULTS.items}, or {LOG_FAULTS.bytes >> 20} MiB, of them"
         lines.append(f"LEFT OUT: {info.unread} messages about faults; only {limits} are read")
     faults = [f"{f.id}: {f.from_s:.10g} to {f.to_s:.10g} s: {f.what}" for f in info.faults]
     for heading, some in (("faults", faults), ("events of vehicles", [*map(str, info.events)])):

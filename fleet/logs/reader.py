@@ -17,15 +17,13 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from fleet.errors import FleetError
 from fleet.logs.records import MAGIC, Block, Digest, renumbered, together
 from fleet.logs.salvage import Damage, Item, Salvage
+from netem.limits import LOG_REST, SCENARIO
 from netem.private_file import read_file
 
 RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recover` wrote
 LOST = "lost"  # key in this record: text that says what is lost
 GAPS = "gaps"  # key in this record: numbers (from 0) of the messages before which data is lost
-MOST_KEPT = 256 << 20  # limit [bytes] for attachments, schemas, channels and metadata together
-_MOST_YAML = 4_000_000  # bytes
 _YAML = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C it takes a twentieth of the time
-_MOST_CHANNELS = 65_536  # MCAP numbers them with 16 bits
 _WHAT_IT_IS = (
     "a log is an MCAP file, or the directory of a run, such as runs/latest, or of a bag of ROS 2; fleet ls lists runs"
 )
@@ -77,7 +75,7 @@ class LogReader:
 
     def __iter__(self) -> Iterator[Record]:
         """Every message of every complete chunk, in file order. Raises LogReadError if the file cannot be opened, is no
-        MCAP file, or declares more than MOST_KEPT bytes.
+        MCAP file, or declares more than LOG_REST.bytes bytes.
         """
         for block in self.blocks():
             yield from self._records(block)
@@ -153,8 +151,8 @@ class LogReader:
             number = self._known.get(what) if len(self.numbers) > 1 else item.id
             if number is None:
                 number = item.id if item.id not in declared else max(declared) + 1
-            if number >= _MOST_CHANNELS:
-                raise LogReadError(f"{self.path} has more than the {_MOST_CHANNELS} channels that one log can have")
+            if number >= LOG_REST.items:
+                raise LogReadError(f"{self.path} has more than the {LOG_REST.items} channels that one log can have")
             numbers[item.id] = self._known[what] = number
         return item if item.id == numbers[item.id] else replace(item, id=numbers[item.id])
 
@@ -200,10 +198,10 @@ class LogReader:
     def _count(self, kind: type, name: int | str, size: int) -> None:
         self._total += size - self._kept.get((kind, name), 0)
         self._kept[kind, name] = size
-        if self._total > MOST_KEPT:
+        if self._total > LOG_REST.bytes:
             raise LogReadError(
                 f"{self.path} declares {self._total} bytes of attachments, metadata, schemas and channels, more than "
-                f"the {MOST_KEPT} that are kept: it is damaged, or not a log to be read here"
+                f"the {LOG_REST.bytes} that are kept: it is damaged, or not a log to be read here"
             )
 
 
@@ -272,7 +270,7 @@ def _bag(folder: Path) -> list[Path]:
     if (folder / "run.mcap").exists():
         return []
     try:
-        text = read_file(folder / "metadata.yaml", _MOST_YAML)
+        text = read_file(folder / "metadata.yaml", SCENARIO.bytes)
     except FileNotFoundError:
         files = sorted(folder.glob("*.mcap"))
         if len(files) > 1:
@@ -357,7 +355,7 @@ def _without_log(path: Path) -> str:
     """What to say of a log that is not there because its run was to write none; "" if it was not."""
     scenario = path.with_name("scenario.yaml")
     try:
-        lines = read_file(scenario, _MOST_YAML).splitlines()
+        lines = read_file(scenario, SCENARIO.bytes).splitlines()
     except (OSError, ValueError):
         return ""
     if b"log: none" not in lines:

@@ -19,6 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Metadata, Schema
 
 from fleet.errors import FleetError
+from netem.limits import LOG_RECORD
 
 # --- digest
 # The digest of a log: SHA-256 over its ordered messages, whatever the chunks and the compression of the file.
@@ -77,8 +78,6 @@ class Digest:
 
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "uuv-fleet"  # in the header of files that this program writes
-MOST_BYTES = 64 << 20  # of one record, packed or not; our own chunks hold 1 MiB and one message
-MOST_IN_BLOCK = 65_536  # messages
 _SHORT = 1024  # bytes of payloads that are gathered by numpy
 HEAD = Struct("<BQ")
 CHUNK = Struct("<QQQI")  # first and last time [ns], unpacked size, CRC
@@ -200,7 +199,7 @@ def inside(offset: int, data: bytes) -> Iterator[Block | Schema | Channel]:
     while at < size:
         begins: list[int] = []
         try:
-            for _ in range(MOST_IN_BLOCK):
+            for _ in range(LOG_RECORD.items):
                 begins.append(at)
                 at += head + unpack(data, at)[0]
                 if at >= size:
@@ -269,8 +268,8 @@ def content(body: bytes, *, exact: bool = False) -> bytes:
         raise ValueError("") from None
     assert isinstance(chunk, Chunk)
     size, crc = chunk.uncompressed_size, chunk.uncompressed_crc
-    if size > MOST_BYTES:
-        raise ValueError(f"a chunk that unpacks to {size} bytes, more than the {MOST_BYTES} that are read")
+    if size > LOG_RECORD.bytes:
+        raise ValueError(f"a chunk that unpacks to {size} bytes, more than the {LOG_RECORD.bytes} that are read")
     if chunk.compression not in _UNPACK:
         raise ValueError(f"a chunk with the compression {chunk.compression[:20]!r}, which is not known here")
     try:

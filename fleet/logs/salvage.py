@@ -1,8 +1,8 @@
 """MCAP records of a file that may be cut or damaged: good records are yielded, the others are counted.
 
-Every value in the file is checked first. A length must lie within the file and below `MOST_BYTES`, a chunk must unpack
-to the size and the CRC that it states, an attachment must have its CRC, and the summary its own. So a corrupt length
-allocates nothing, and a flipped bit is found, not decoded.
+Every value in the file is checked first. A length must lie within the file and below `LOG_RECORD.bytes`, a chunk must
+unpack to the size and the CRC that it states, an attachment must have its CRC, and the summary its own. So a corrupt
+length allocates nothing, and a flipped bit is found, not decoded.
 
 Files of other programs may have what the specification lets readers ignore: records of unknown kinds, bytes behind the
 known fields of a record, and messages between chunks. In a file that this program wrote, each of these is damage.
@@ -28,7 +28,6 @@ from fleet.logs.records import (
     LIBRARY,
     MAGIC,
     MESSAGE,
-    MOST_BYTES,
     U32,
     U64,
     Block,
@@ -38,6 +37,7 @@ from fleet.logs.records import (
     parse,
     span_of,
 )
+from netem.limits import LOG_RECORD
 
 _INDEX = Struct("<BQHI")  # how a message index begins: opcode, length of the rest, channel, bytes of its entries
 _INDEX_WINDOW = 1 << 16  # bytes of message indexes that are looked at together
@@ -217,8 +217,8 @@ class Salvage:
             raise EOFError
         if opcode in _UNKNOWN:
             return opcode, b"", begin + length
-        if length > MOST_BYTES:
-            raise _DamagedError(f"a record of {length} bytes, more than the {MOST_BYTES} that are read")
+        if length > LOG_RECORD.bytes:
+            raise _DamagedError(f"a record of {length} bytes, more than the {LOG_RECORD.bytes} that are read")
         return opcode, self._read(begin, length), begin + length
 
     def _allowed(self, opcode: int) -> bool:
@@ -327,7 +327,7 @@ class Salvage:
             while True:
                 head = self._read(at, HEAD.size)
                 opcode, length = HEAD.unpack(head)
-                if length > min(size - at - HEAD.size, MOST_BYTES):
+                if length > min(size - at - HEAD.size, LOG_RECORD.bytes):
                     return False, stated
                 body = self._read(at + HEAD.size, length)
                 at += HEAD.size + length

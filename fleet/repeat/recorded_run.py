@@ -10,7 +10,6 @@ from typing import Any
 
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
-from fleet.logs.fault_intervals import MOST_EVENTS
 from fleet.logs.reader import LogReader, Record, Tell, log_path
 from fleet.logs.schemas import CLOCK, FAULT, START
 from fleet.quantities import show_time
@@ -21,9 +20,8 @@ from fleet.scenario.sections.vehicle_events import is_fault
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy, ran_from
+from netem.limits import LOG_FAULTS
 from netem.vehicle_clock import Clock
-
-MOST_TEXT = 64 << 20  # bytes of all of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +66,10 @@ def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
     for record in reader.of(["faults"]):
         happened.append(record)
         held += len(record.data)
-        if len(happened) > MOST_EVENTS or held > MOST_TEXT:
+        if len(happened) > LOG_FAULTS.items or held > LOG_FAULTS.bytes:
             raise FleetError(
-                f"{path} holds more than {MOST_EVENTS} events of faults, or {MOST_TEXT} bytes of them: that is no run"
+                f"{path} holds more than {LOG_FAULTS.items} events of faults, or {LOG_FAULTS.bytes} bytes of them: "
+                "that is no run"
             )
     attached = _attached(path, reader)
     decode = Decoder(reader)

@@ -19,8 +19,8 @@ from typing import IO, Any, Protocol
 
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
-from fleet.logs.records import MOST_BYTES
 from fleet.terminal.status_line import StatusLine
+from netem.limits import LOG_RECORD
 from netem.wire.open_bus import ZenohSample, matching, sample_of
 
 PROFILE = "zenoh"
@@ -55,7 +55,7 @@ GONE_S = 1.0  # a connection that was lost is back sooner, if it comes back
 MOST_QUEUED = 100_000  # samples; beyond that zenoh's thread waits, and with it the sender
 MOST_CHANNELS = 65_535  # MCAP numbers them with 16 bits
 MOST_BATCH = 1000
-MOST_MESSAGE = MOST_BYTES - 2 * CHUNK_BYTES  # bytes; readers of logs take no chunk that is longer
+MOST_MESSAGE = LOG_RECORD.bytes - 2 * CHUNK_BYTES  # bytes; readers of logs take no chunk that is longer
 
 
 @contextmanager

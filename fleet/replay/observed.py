@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
+from netem.limits import OBSERVED
 from netem.private_file import read_json, write_whole
 from netem.private_folder import PrivateFolder
 from netem.wire.access import OBSERVER, Credentials
@@ -15,8 +16,6 @@ from netem.wire.keys import Keys
 
 if TYPE_CHECKING:
     from netem.wire.open_bus import OpenBus
-
-_MOST_BYTES = 100_000
 
 
 class Observed(msgspec.Struct):
@@ -30,7 +29,7 @@ class Observed(msgspec.Struct):
 
 def read_observed(path: Path) -> Observed:
     """Read observe.json. Raises OSError: it cannot be read; DamagedFile: it holds something else."""
-    return read_json(path, Observed, _MOST_BYTES)
+    return read_json(path, Observed, OBSERVED.bytes)
 
 
 def new_observed(endpoint: str, run: str) -> Observed:

@@ -10,10 +10,10 @@ import msgspec
 
 from fleet.errors import FleetError
 from fleet.result.result import FORMAT, Result, json_text
+from netem.limits import RESULT_FILE
 from netem.private_file import read_file
 
 RESULT = "result.json"  # in the directory of a run
-_MOST_BYTES = 20_000_000
 
 
 class ResultError(FleetError):
@@ -32,7 +32,7 @@ def read_result(directory: Path) -> Result:
     """
     path = directory / RESULT
     try:
-        data = read_file(path, _MOST_BYTES)
+        data = read_file(path, RESULT_FILE.bytes)
     except FileNotFoundError:
         raise
     except OSError as error:

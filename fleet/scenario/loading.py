@@ -26,6 +26,7 @@ from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, locate, plain, read, text_place
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
 from fleet.scenario.value_types import Section, section_of
+from netem.limits import SCENARIO
 from netem.parsing import nearest
 from netem.private_file import read_bounded, read_file
 
@@ -219,9 +220,6 @@ def _short(name: str) -> str:
     return name if len(name) <= 60 else name[:57] + "..."
 
 
-_MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can have
-
-
 def load_scenario(
     name_or_path: str | Path,
     overrides: Sequence[str | Override] = (),
@@ -348,8 +346,8 @@ def _content(path: Path) -> bytes:
     """The bytes of a file, or of an open descriptor: /dev/stdin, or /dev/fd/63 as a shell writes <(command)."""
     if path == Path("/dev/stdin") or path.parent in (Path("/dev/fd"), Path("/proc/self/fd")):
         with path.open("rb") as file:
-            return read_bounded(file, _MAX_BYTES)
-    return read_file(path, _MAX_BYTES)
+            return read_bounded(file, SCENARIO.bytes)
+    return read_file(path, SCENARIO.bytes)
 
 
 def _unreadable(name: str, message: str, hint: str = "") -> ScenarioError:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fleet.errors import Problem
+from netem.limits import TRUSTED
 from netem.private_file import read_file, write_whole
 from world.plugins.loading import admit
 from world.plugins.trust import Permission, own_folders
@@ -81,10 +82,6 @@ def stranger(file: Path) -> str:
     return ""
 
 
-_MOST_KEPT = 10_000  # lines; what was run first is forgotten first
-_MOST_BYTES = 50_000_000  # of the file; a path has 4096 at most
-
-
 def _kept() -> Path:
     """The file of this user, mode 0600, with a line for each scenario that was run with own modules."""
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
@@ -105,7 +102,7 @@ def remember(text: str) -> None:
         known = _lines(file)
         new = [line for folder in folders if "\n" not in folder and (line := f"{digest} {folder}") not in known]
         if new:
-            write_whole(file, "".join(f"{line}\n" for line in [*known, *new][-_MOST_KEPT:]).encode())
+            write_whole(file, "".join(f"{line}\n" for line in [*known, *new][-TRUSTED.items :]).encode())
 
 
 def ran_from(text: str) -> tuple[Path, ...]:
@@ -118,7 +115,7 @@ def ran_from(text: str) -> tuple[Path, ...]:
 
 
 def _lines(file: Path) -> list[str]:
-    return read_file(file, _MOST_BYTES).decode("utf-8", "replace").splitlines() if file.exists() else []
+    return read_file(file, TRUSTED.bytes).decode("utf-8", "replace").splitlines() if file.exists() else []
 
 
 def _digest(text: str) -> str:

@@ -24,7 +24,8 @@ from fleet.logs.export import file_names, write_files
 from fleet.logs.reader import LogReader, Tell, log_path
 from fleet.replay.capture import ATTACHMENT, DELETE, KIND, PROFILE
 from fleet.ros2 import rmw
-from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable
+from fleet.scenario.sections.trace_table import TraceRow, TraceTable
+from netem.limits import TRACE
 
 _RESTARTED = 100  # a number so far below the highest is that of a sender that began anew, and no late message
 
@@ -101,7 +102,7 @@ def trace_of(arrivals: Sequence[RecordedMessage], numbers: Sequence[int], zero_n
         zero_ns: time 0 of the trace.
 
     Returns:
-        The trace, of MOST_ROWS messages at most. Times of lost messages are interpolated. Without times of sending
+        The trace, of TRACE.items messages at most. Times of lost messages are interpolated. Without times of sending
         there is no delay, and times are those of arrival.
     """
     first_copies: dict[int, RecordedMessage] = {}
@@ -115,14 +116,14 @@ def trace_of(arrivals: Sequence[RecordedMessage], numbers: Sequence[int], zero_n
         if rows:
             time_ns = max(time_ns, before_ns)  # a clock that was set back
             step = (time_ns - before_ns) / (number - last)
-            missing = min(number - last, MOST_ROWS + 1 - len(rows))
+            missing = min(number - last, TRACE.items + 1 - len(rows))
             rows += [TraceRow(before_ns + round(step * k), delivered=False) for k in range(1, missing)]
         delay_ns = max(0, arrival.at_ns - arrival.sent_ns) if len(columns) > 2 else None
         rows.append(TraceRow(time_ns, delivered=True, delay_ns=delay_ns))
         last, before_ns = number, time_ns
-        if len(rows) >= MOST_ROWS:
+        if len(rows) >= TRACE.items:
             break
-    return TraceTable(columns, tuple(rows[:MOST_ROWS]))
+    return TraceTable(columns, tuple(rows[: TRACE.items]))
 
 
 def summary(table: TraceTable) -> str:
@@ -154,8 +155,8 @@ def _doubts(arrivals: Sequence[RecordedMessage], numbers: Sequence[int]) -> Iter
             f"{len(early)} messages arrived before they were sent, by up to {max(early) / 1e6:.3g} ms: the clocks "
             "disagree, so delays are wrong by at least as much; these count as 0"
         )
-    if (total := max(numbers) - min(numbers) + 1) > MOST_ROWS:
-        yield f"only the first {MOST_ROWS} of {total} messages, which is as many as a trace holds"
+    if (total := max(numbers) - min(numbers) + 1) > TRACE.items:
+        yield f"only the first {TRACE.items} of {total} messages, which is as many as a trace holds"
 
 
 def _numbers(arrivals: list[RecordedMessage], period_ns: int | None) -> list[int] | None:

@@ -32,12 +32,11 @@ from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import Row
 from fleet.study.shrink import Shrinker
+from netem.limits import FAILURES
 from netem.private_file import DamagedFile, read_json, write_whole
 
 INDEX = "failures.json"
 FORMAT = 1  # of both JSON files
-_MOST_BYTES = 4_000_000
-_MOST_FAILURES = 10_000
 _S = TypeVar("_S", bound=Struct)
 FileName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,200}\.yaml$")]
 
@@ -59,7 +58,7 @@ class FoundFailure(Struct, kw_only=True):
 
 class _Index(Struct):
     format: int
-    failures: Annotated[list[FoundFailure], Meta(max_length=_MOST_FAILURES)]
+    failures: Annotated[list[FoundFailure], Meta(max_length=FAILURES.items)]
 
 
 class SearchProgress(Struct, kw_only=True):
@@ -138,7 +137,7 @@ class FailureFolder:
 
     def _read(self, path: Path, kind: type[_S]) -> _S | None:
         try:
-            found = read_json(path, kind, _MOST_BYTES)
+            found = read_json(path, kind, FAILURES.bytes)
         except FileNotFoundError:
             return None
         except OSError as error:

@@ -22,9 +22,9 @@ from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import PartRow, Row
 from netem.draws import bits
+from netem.limits import RARE
 from netem.private_file import DamagedFile, read_json, write_whole
 
-_MOST_BYTES = 10_000_000
 _MARGINS = 2  # changes when other margins count at a snapshot: such repeats do not mix
 _NOTHING = (
     "nothing that world or network draw while a run goes on changes the margin of {check}, so splitting cannot help: "
@@ -134,7 +134,7 @@ class RareEvent:
         if not file.exists():
             return RareFile(key, self._scenario.name, self._check)
         try:
-            known = read_json(file, RareFile, _MOST_BYTES)
+            known = read_json(file, RareFile, RARE.bytes)
         except (OSError, DamagedFile) as error:
             raise StudyError(f"{file} cannot be read: {error!s:.200}") from None
         if known.key != key:

@@ -12,12 +12,11 @@ from fleet.study.errors import StudyError
 from fleet.study.measures import MeasureColumn, columns_of_checks
 from fleet.study.spec import MOST_ALLOWED, BoundarySpec, StudySpec, texts
 from fleet.study.values import Axis
+from netem.limits import STUDY_RECORD
 from netem.private_file import DamagedFile, read_json, write_whole
 
 VERSION = 4
 NAME = "study.json"
-_MOST_BYTES = 32_000_000  # a million seeds
-_MOST_NAMES = 1000  # axes, checks or columns
 
 
 class AxisRecord(msgspec.Struct):
@@ -79,12 +78,12 @@ def read_record(directory: Path) -> StudyRecord:
     than a study writes."""
     file = directory / NAME
     try:
-        if (found := read_json(file, _Version, _MOST_BYTES).version) != VERSION:
+        if (found := read_json(file, _Version, STUDY_RECORD.bytes).version) != VERSION:
             old = ", whose rows are Parquet files" if found < VERSION else ""
             raise StudyError(
                 f"{directory} is a study of version {found}{old}; this fleet reads version {VERSION} alone"
             )
-        record = read_json(file, StudyRecord, _MOST_BYTES)
+        record = read_json(file, StudyRecord, STUDY_RECORD.bytes)
         _ = record.rules.timeout_s, record.rules.budget_s, record.border and record.border.timeout_s
     except FileNotFoundError:
         raise StudyError(f"{directory} is no study: it has no {NAME}") from None
@@ -93,8 +92,8 @@ def read_record(directory: Path) -> StudyRecord:
     except (DamagedFile, OverflowError, QuantityError) as error:
         raise StudyError(f"{file} is damaged: {error!s:.200}") from None
     for what, names in (("axes", record.axes), ("checks", record.checks), ("columns", record.columns)):
-        if len(names) > _MOST_NAMES:
-            raise StudyError(f"{file} has {len(names)} {what}: at most {_MOST_NAMES} are possible")
+        if len(names) > STUDY_RECORD.items:
+            raise StudyError(f"{file} has {len(names)} {what}: at most {STUDY_RECORD.items} are possible")
     if len(record.seeds) > MOST_ALLOWED:
         raise StudyError(f"{file} has {len(record.seeds)} seeds: at most {MOST_ALLOWED} are possible")
     every = [

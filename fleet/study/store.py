@@ -37,13 +37,13 @@ from fleet.study.row import STATUSES, CheckRow, Row
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.stopping import Rule, parse_until, seed_sequence, seeds_needed
 from fleet.study.values import AxisValue
+from netem.limits import STUDY_ROWS
 from netem.private_file import part_of, sync_folder
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FILE, _LOGS = "study.sqlite", "logs"
-MOST_BYTES = 2_000_000_000  # of the database: 3 million runs
 _MOST_POINT_BYTES = 200_000_000  # of the scenarios of all points
 _MOST_TEXTS = 400_000_000  # characters that are held at once
 _CHUNK = 10_000  # rows that are read before they become arrays
@@ -236,8 +236,8 @@ class Store:
             about = self._file.stat()
             if not S_ISREG(about.st_mode):
                 raise StudyError(f"{self._file} is no regular file")
-            if about.st_size > MOST_BYTES:
-                raise StudyError(f"{self._file} is larger than {MOST_BYTES / 1e9:g} GB")
+            if about.st_size > STUDY_ROWS.bytes:
+                raise StudyError(f"{self._file} is larger than {STUDY_ROWS.bytes / 1e9:g} GB")
             if not self._checked:
                 with self._file.open("rb") as start:
                     head = start.read(20)
@@ -253,7 +253,7 @@ class Store:
             with self._errors():
                 file.execute("PRAGMA trusted_schema = OFF")
                 file.execute("PRAGMA cell_size_check = ON")
-                file.execute(f"PRAGMA max_page_count = {MOST_BYTES // 4096}")
+                file.execute(f"PRAGMA max_page_count = {STUDY_ROWS.bytes // 4096}")
                 if not self._checked:
                     self._check(file)
                     self._checked = True

@@ -28,12 +28,12 @@ from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
 from fleet.study.given import read as read_value
 from fleet.study.spec import Kind, SpecField, StudySpec, fields
+from netem.limits import SCENARIO
 from netem.parsing import nearest
 from netem.private_file import read_file
 
 _KEY = "study"
 _NESTED = re.compile(r"\s*[\[{]")
-_MAX_BYTES = 4_000_000  # as many as the characters that yaml_reader takes can have
 
 
 class NamedStudy(NamedTuple):
@@ -55,7 +55,7 @@ def study_named(name: str) -> NamedStudy | None:
             raise StudyError(f"there is no study or scenario {name}; {close}")
         return None
     try:
-        source = Source(name, read_file(path, _MAX_BYTES).decode("utf-8-sig"))
+        source = Source(name, read_file(path, SCENARIO.bytes).decode("utf-8-sig"))
     except (OSError, ValueError):  # who reads it as a scenario says what is wrong
         return None
     return NamedStudy(parse_study(source, path.parent), origin(path)) if is_study(source) else None

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fleet.logs.deviation import begin_ns
-from fleet.logs.fault_intervals import MOST_EVENTS, intervals
+from fleet.logs.fault_intervals import intervals
 from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
@@ -29,6 +29,7 @@ from fleet.view.chart_signals import ChartSignal, Signals
 from fleet.view.feed import FAULTS, MOST_CHARTED, TRANSFORMS, checks_asked, checks_judged, fault_message, is_lost, take
 from fleet.view.view_state import HISTORY_S, NOT_PLACED, Row, ViewState
 from netem.fault_kinds import Cause
+from netem.limits import LOG_FAULTS
 
 MOST_SAMPLES = 600  # of a curve
 MOST_VALUES = 60_000  # of all curves of one chart
@@ -176,7 +177,6 @@ def _number(value: float) -> float | None:
     return round(float(value), 4) if np.isfinite(value) else None
 
 
-MOST_FAULT_BYTES = 32 << 20  # of all messages about faults
 MOST_AT_ONCE = 20_000  # messages between two pictures, and those that a jump looks back on
 
 
@@ -238,8 +238,8 @@ class LogFeed:
         track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
         for _, entry in track.entries(range(len(track))):
             held += len(entry.data)
-            if len(track) > MOST_EVENTS or held > MOST_FAULT_BYTES:
-                most = f"{MOST_EVENTS} messages or {MOST_FAULT_BYTES} bytes"
+            if len(track) > LOG_FAULTS.items or held > LOG_FAULTS.bytes:
+                most = f"{LOG_FAULTS.items} messages or {LOG_FAULTS.bytes} bytes"
                 raise LogReadError(f"{self.path} tells of more faults than are shown: expected at most {most}")
             if (event := fault_message(entry.data)) is not None:
                 happened.append((entry.log_ns / 1e9, event.fault, event.action, event.what))

@@ -11,6 +11,7 @@ import pytest
 from repository import ROOT
 
 from fleet.cli.main import cli
+from netem.limits import table
 
 TEXTS = ["README.md", "CONTRIBUTING.md"]
 
@@ -52,6 +53,10 @@ def test_the_architecture_page_lists_every_room_with_its_sentence() -> None:
     }
     rows = re.findall(r"^\| `((?:fleet|agents|world|netem)[a-z0-9_/]*)` \| (.*) \|$", ARCHITECTURE, re.MULTILINE)
     assert dict(rows) == rooms
+
+
+def test_the_security_page_has_every_limit() -> None:
+    assert table() in (ROOT / "docs/guide/security.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize("page", PAGES)

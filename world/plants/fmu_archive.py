@@ -10,14 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO
 
+from netem.limits import FMU, FMU_DESCRIPTION
 from world.errors import FmuError
 
 DESCRIPTION = "modelDescription.xml"
-MAX_FILES = 10_000
 MAX_DIRECTORY_BYTES = 4 << 20  # of the list of files
 _SIZE_OF_DIRECTORY = 5  # in what zipfile says of the end of an archive
-MAX_BYTES = 1 << 30  # of all files, unpacked
-MAX_DESCRIPTION_BYTES = 32 << 20
 # Folders of the binaries for one platform, of FMI 3 and of FMI 2.
 PLATFORMS = {
     "x86_64-linux": "linux64",
@@ -52,25 +50,25 @@ def _check_directory(file: IO[bytes]) -> None:
     """Check that the list of files is small enough: each entry takes ten times as much memory as in the archive."""
     end = zipfile._EndRecData(file)  # type: ignore[attr-defined]  # the same that zipfile goes by
     if end and end[_SIZE_OF_DIRECTORY] > MAX_DIRECTORY_BYTES:
-        raise FmuError(f"lists its files in {end[_SIZE_OF_DIRECTORY]} bytes: more than {MAX_FILES} are not unpacked")
+        raise FmuError(f"lists its files in {end[_SIZE_OF_DIRECTORY]} bytes: more than {FMU.items} are not unpacked")
 
 
 def _check(opened: zipfile.ZipFile) -> None:
     files = opened.infolist()
-    if len(files) > MAX_FILES:
-        raise FmuError(f"holds {len(files)} files: more than {MAX_FILES} are not unpacked")
+    if len(files) > FMU.items:
+        raise FmuError(f"holds {len(files)} files: more than {FMU.items} are not unpacked")
     for file in files:
         name = PurePosixPath(file.filename)
         if name.is_absolute() or ".." in name.parts or "\\" in file.filename or ":" in file.filename:
             raise FmuError(f"would unpack {file.filename[:100]!r}, which lies outside of its folder", "do not trust it")
         if stat.S_ISLNK(file.external_attr >> 16):
             raise FmuError(f"holds the link {file.filename[:100]!r}: only files are unpacked", "export it again")
-    if (size := sum(file.file_size for file in files)) > MAX_BYTES:
-        raise FmuError(f"would be {size >> 20} MiB unpacked: more than {MAX_BYTES >> 20} MiB are not unpacked")
+    if (size := sum(file.file_size for file in files)) > FMU.bytes:
+        raise FmuError(f"would be {size >> 20} MiB unpacked: more than {FMU.bytes >> 20} MiB are not unpacked")
     by_name = {file.filename: file for file in files}
     if (description := by_name.get(DESCRIPTION)) is None:
         raise FmuError(f"is no FMU: it has no {DESCRIPTION}")
-    if description.file_size > MAX_DESCRIPTION_BYTES:
+    if description.file_size > FMU_DESCRIPTION.bytes:
         raise FmuError(f"has a {DESCRIPTION} of {description.file_size >> 20} MiB", "it has too many variables")
 
 

@@ -20,6 +20,7 @@ from platform import machine
 from typing import Any
 from xml.parsers import expat
 
+from netem.limits import FMU_DESCRIPTION
 from world.errors import FmuError
 from world.plants.fmu_archive import DESCRIPTION, PLATFORMS, archive, platforms
 from world.signal import Signal
@@ -31,8 +32,6 @@ from world.signal import Signal
 # 100,000 variables without names took minutes), and which no signal ends.
 
 MAX_VARIABLES = 200_000
-MAX_ELEMENTS = 2_000_000
-_MAX_DEPTH = 64
 _MOST_TEXT = 1000  # characters of a description or a unit that are kept
 _OF_FMI_2 = frozenset(("Real", "Integer", "Boolean", "String", "Enumeration"))
 _TAGS_OF_FMI_3 = frozenset(
@@ -111,10 +110,12 @@ class _Description:
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         self._elements += 1
-        if self._elements > MAX_ELEMENTS:
-            raise FmuError(f"has a {DESCRIPTION} of more than {MAX_ELEMENTS} elements", "it has too many variables")
-        if len(self._path) == _MAX_DEPTH:
-            raise _not_valid(f"its elements are nested more than {_MAX_DEPTH} deep")
+        if self._elements > FMU_DESCRIPTION.items:
+            raise FmuError(
+                f"has a {DESCRIPTION} of more than {FMU_DESCRIPTION.items} elements", "it has too many variables"
+            )
+        if len(self._path) == FMU_DESCRIPTION.depth:
+            raise _not_valid(f"its elements are nested more than {FMU_DESCRIPTION.depth} deep")
         self._path.append(tag)
         match self._path:
             case [_]:

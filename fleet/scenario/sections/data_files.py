@@ -12,12 +12,12 @@ from typing import Any, NamedTuple, TypeVar
 
 from fleet import quantities as q
 from fleet.errors import FleetError
+from netem.limits import DATA_FILE
 from netem.modem import Curve
 from netem.parsing import nearest
 from netem.private_file import read_file
 
 T = TypeVar("T")
-_MAX_BYTES = 100_000
 
 
 class Number(NamedTuple):
@@ -55,7 +55,7 @@ def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes
     if not name.endswith(".toml"):
         hint = nearest(name, known) or "a file ends in .toml"
         raise DataFileError(kind, name, [f"there is no such {kind}; there are {', '.join(known)} ({hint})"])
-    return find_beside(kind, name, folder, _MAX_BYTES)
+    return find_beside(kind, name, folder, DATA_FILE.bytes)
 
 
 def find_beside(kind: str, name: str, folder: Path | None, most: int) -> tuple[bytes, str]:

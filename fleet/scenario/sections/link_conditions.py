@@ -11,13 +11,13 @@ from fleet.scenario.sections.data_files import DataFileError, read_beside
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
 from netem.condition import Condition
 from netem.grammar import parse_selector
+from netem.limits import TRACE
 from netem.link_states import LinkStates, stationary
 from netem.link_trace import LinkTrace
 from netem.private_file import read_file
 
 # --- traces: a file beside the scenario, or the scenario itself, has one
 
-MOST_BYTES = 10_000_000
 INSIDE = "in the scenario"  # the name of a trace that has no file
 
 
@@ -37,7 +37,7 @@ def load_trace(text: str, folder: Path | None = None) -> TraceTable:
 def read_trace(path: Path) -> TraceTable:
     """The trace in a file. Raises FileNotFoundError: there is none; DataFileError: as `load_trace`."""
     try:
-        return read_csv(read_file(path, MOST_BYTES).decode("utf-8"), str(path))
+        return read_csv(read_file(path, TRACE.bytes).decode("utf-8"), str(path))
     except FileNotFoundError:
         raise
     except UnicodeDecodeError as error:

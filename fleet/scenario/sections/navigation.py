@@ -21,6 +21,7 @@ from fleet import quantities as q
 from fleet.scenario.schema.navigation import DEFAULT_GRADE, ExpectedCurrent, FixSection, NavigationSection
 from fleet.scenario.sections import data_files
 from fleet.scenario.sections.data_files import DataFileError, Number, out_of_range, table
+from netem.limits import NAVIGATION_TRACE
 from netem.parsing import exact_number
 from world.navigation.config import DeadReckoning, FixKind, FixSource, Grade, Navigation, NavigationTrace, TracePoint
 
@@ -38,7 +39,6 @@ from world.navigation.config import DeadReckoning, FixKind, FixSource, Grade, Na
 
 TRACE = "navigation trace"
 COLUMNS = ("time [s]", "north [m]", "east [m]", "down [m]", "heading [deg]")
-_MOST_BYTES = 400_000  # the scenario of a log, in which it stands, has at most a million characters
 _MOST = 1e7  # s, m, deg: larger ones are slips
 
 
@@ -54,10 +54,10 @@ def load_trace(text: str, folder: Path | None) -> tuple[TracePoint, ...]:
 def _content(text: str, folder: Path | None) -> tuple[str, str]:
     """Its content, and what it is called."""
     if "\n" in text:
-        if len(text) > _MOST_BYTES:
-            raise DataFileError(TRACE, "in the scenario", [f"it has more than {_MOST_BYTES} characters"])
+        if len(text) > NAVIGATION_TRACE.bytes:
+            raise DataFileError(TRACE, "in the scenario", [f"it has more than {NAVIGATION_TRACE.bytes} characters"])
         return text, "in the scenario"
-    data, path = data_files.find_beside(TRACE, text, folder, _MOST_BYTES)
+    data, path = data_files.find_beside(TRACE, text, folder, NAVIGATION_TRACE.bytes)
     try:
         content = data.decode("utf-8-sig")
     except UnicodeDecodeError:

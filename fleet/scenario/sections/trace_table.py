@@ -21,9 +21,9 @@ from io import StringIO
 from fleet import quantities as q
 from fleet.scenario.sections.data_files import DataFileError
 from netem.condition import Condition
+from netem.limits import TRACE
 from netem.parsing import LONGEST_NUMBER, NUMBER, nearest, quoted
 
-MOST_ROWS = 100_000
 _MOST_PROBLEMS = 5
 _MOST_COLUMNS = 20  # of which each is looked at
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
@@ -80,8 +80,8 @@ def read_csv(text: str, name: str) -> TraceTable:
     lines: list[tuple[str, list[str]]] = []
     try:
         for cells in reader:
-            if len(lines) > MOST_ROWS:
-                raise DataFileError("trace", name, [f"it has more than {MOST_ROWS} rows"])
+            if len(lines) > TRACE.items:
+                raise DataFileError("trace", name, [f"it has more than {TRACE.items} rows"])
             lines.append((f"line {reader.line_num}", cells))
     except csv.Error as error:
         raise DataFileError("trace", name, [f"line {reader.line_num}: not CSV: {error}"]) from None

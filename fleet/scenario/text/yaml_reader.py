@@ -18,15 +18,13 @@ from typing import Any
 import yaml
 
 from fleet.errors import Problem
+from netem.limits import SCENARIO, SCENARIO_CHARACTERS
 
 try:
     from yaml import CSafeLoader as _Loader
 except ImportError:  # pragma: no cover - a PyYAML built without libyaml reads the same, slowly
     from yaml import SafeLoader as _Loader  # type: ignore[assignment]
 
-_MAX_CHARACTERS = 1_000_000
-_MAX_DEPTH = 30
-_MAX_NODES = 20_000  # after aliases: ten lines of aliases to aliases can stand for 10^10 values
 
 _BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")  # what YAML 1.1, and so libyaml, calls a line break
 _INT = re.compile(r"[-+]?[0-9]{1,18}")
@@ -185,8 +183,8 @@ class _Reader:
 
     def read(self) -> Node | None:
         text = self.source.text[self.start :]
-        if len(text) > _MAX_CHARACTERS:
-            self._fail(None, f"the text is longer than {_MAX_CHARACTERS} characters")
+        if len(text) > SCENARIO_CHARACTERS:
+            self._fail(None, f"the text is longer than {SCENARIO_CHARACTERS} characters")
         events = self._events(text)
         root: Node | None = None
         for event in events:
@@ -203,7 +201,7 @@ class _Reader:
             yield from yaml.parse(text, Loader=_Loader)
         except yaml.MarkedYAMLError as error:
             if "nesting depth" in (error.problem or ""):  # libyaml's limit is above ours, and it reads ahead
-                self._fail(error.problem_mark, f"nested more than {_MAX_DEPTH} deep")
+                self._fail(error.problem_mark, f"nested more than {SCENARIO.depth} deep")
             hint = ""
             if "alias" in (error.context or ""):
                 hint = 'a text that begins with * or & needs quotes: "*->2"'
@@ -219,8 +217,8 @@ class _Reader:
 
     def _node(self, event: Any, events: Iterator[Any], depth: int) -> tuple[Node, int]:
         """The node that begins with `event`, and how many nodes it stands for."""
-        if depth > _MAX_DEPTH:
-            self._fail(event.start_mark, f"nested more than {_MAX_DEPTH} deep")
+        if depth > SCENARIO.depth:
+            self._fail(event.start_mark, f"nested more than {SCENARIO.depth} deep")
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event)
         if event.tag is not None and event.tag != "!":
@@ -234,8 +232,8 @@ class _Reader:
             node, size = self._items(event, events, depth)
         else:
             node, size = self._mapping(event, events, depth)
-        if size > _MAX_NODES:
-            self._fail(event.start_mark, f"more than {_MAX_NODES} values")
+        if size > SCENARIO.items:
+            self._fail(event.start_mark, f"more than {SCENARIO.items} values")
         if event.anchor:
             self.open.discard(event.anchor)
             self.anchors[event.anchor] = node, size

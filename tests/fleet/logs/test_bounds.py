@@ -28,6 +28,7 @@ from fleet.logs.info import info_text, read_info
 from fleet.logs.open_log import Opening, Part
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.terminal import status_line
+from netem.limits import LOG_FAULTS, LOG_MESSAGE, LOG_RECORD, LOG_REST
 from netem.private_file import whole_file
 
 MIB = 1 << 20
@@ -104,7 +105,7 @@ def test_what_lz4_unpacks_to_is_bounded_too() -> None:
 
 def test_what_a_log_declares_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of the records is small enough; the same one again and again takes no more."""
-    monkeypatch.setattr(reader, "MOST_KEPT", 10_000)
+    monkeypatch.setattr(reader, "LOG_REST", LOG_REST._replace(bytes=10_000))
     many = b"".join(record(Opcode.METADATA, text(f"m{n}") + text(text("k") + text("v" * 500))) for n in range(20))
     with pytest.raises(LogReadError, match=r"declares \d+ bytes of attachments, metadata, schemas and channels, more"):
         list(LogReader(write(tmp_path / "a.mcap", iter([]), many)))
@@ -116,12 +117,12 @@ def test_what_a_log_declares_is_bounded(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_a_message_of_too_many_values_is_bytes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = foreign(tmp_path / "x.mcap")
-    monkeypatch.setattr(decoder, "MOST_VALUES", 1)
+    monkeypatch.setattr(decoder, "LOG_MESSAGE", LOG_MESSAGE._replace(items=1))
     log = LogReader(path)
     decode = decoder.Decoder(log)
     found = {r.topic: [value.path for value in decode(r)] for r in log}
     assert found["odd"] == ["bytes"]  # the last one has three
-    monkeypatch.setattr(decoder, "MOST_DECODED", 3)
+    monkeypatch.setattr(decoder, "LOG_MESSAGE", LOG_MESSAGE._replace(bytes=3))
     assert decode.message(reader.Record("odd", 0, 0, 0, struct_pb2.Struct().SerializeToString() + bytes(10))) is None
 
 
@@ -253,7 +254,7 @@ def test_tables_written_in_parts_are_the_same(run: Path, tmp_path: Path, monkeyp
         once = export.export(log, tmp_path / name, "csv")
         with monkeypatch.context() as patch:
             patch.setattr(export, "_HELD", 0)
-            patch.setattr(records, "MOST_IN_BLOCK", 1 if name == "odd" else 500)
+            patch.setattr(records, "LOG_RECORD", LOG_RECORD._replace(items=1 if name == "odd" else 500))
             parts = export.export(log, tmp_path / f"{name}-parts", "csv")
         for a, b in zip(once, parts, strict=True):
             assert a.read_text() == b.read_text(), a
@@ -338,7 +339,7 @@ def test_nothing_is_said_of_what_is_short(run: Path) -> None:
 def test_faults_beyond_the_limit_are_counted(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They were left out without a word."""
     whole = read_info(run)
-    monkeypatch.setattr("fleet.logs.info.MOST_EVENTS", 2)
+    monkeypatch.setattr("fleet.logs.info.LOG_FAULTS", LOG_FAULTS._replace(items=2))
     some = read_info(run)
     assert (whole.unread, some.unread) == (0, whole.topics["faults"][1] - 2)
     assert f"LEFT OUT: {some.unread} messages about faults" in info_text(some)

@@ -18,6 +18,7 @@ from mcap.writer import Writer
 from fleet.logs import records
 from fleet.logs.reader import LogReader, LogReadError, log_path, open_file
 from fleet.logs.records import Digest
+from netem.limits import LOG_RECORD
 
 
 def test_a_link_to_a_run_gives_the_run(tmp_path: Path) -> None:
@@ -121,7 +122,7 @@ def one_by_one(data: bytes) -> Iterator[object]:
 def test_records_are_found_as_one_by_one(data: bytes, at_once: int) -> None:
     found: list[object] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(records, "MOST_IN_BLOCK", at_once)
+        patch.setattr(records, "LOG_RECORD", LOG_RECORD._replace(items=at_once))
         try:
             for item in records.inside(7, data):
                 found += item.messages() if isinstance(item, records.Block) else [item]

@@ -30,9 +30,10 @@ from tool import invoke
 
 from fleet.errors import FleetError
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
-from fleet.logs.records import MAGIC, MOST_BYTES
+from fleet.logs.records import MAGIC
 from fleet.logs.recover import Recovered, recover, recovery_text
 from fleet.logs.salvage import Salvage
+from netem.limits import LOG_RECORD
 
 # Three chunks, as small as they get.
 SMALL = ["vehicles=2", "duration=2.5 s", "log.every=50 ticks", "network.period=500 ms", "checks={}"]
@@ -376,7 +377,7 @@ CRAFTED = {
     "an empty chunk": lie(0, b""),
     "an empty uncompressed chunk": lie(0, b"", ""),
     "a petabyte unpacked": lie(1 << 50, b"\x28\xb5\x2f\xfd\x20\x00\x01\x00\x00"),
-    "a bomb": lie(MOST_BYTES, b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 1 << 45) + b"\x01\x00\x00"),
+    "a bomb": lie(LOG_RECORD.bytes, b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 1 << 45) + b"\x01\x00\x00"),
     "a petabyte packed": HEAD.pack(Opcode.CHUNK, 1 << 50) + bytes(100),
     "a petabyte of attachment": HEAD.pack(Opcode.ATTACHMENT, 1 << 50) + bytes(100),
     "more than there is": HEAD.pack(Opcode.METADATA, 100) + bytes(20),

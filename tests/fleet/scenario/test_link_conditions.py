@@ -22,9 +22,10 @@ from fleet.scenario.loading import changed, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.link_conditions import load_trace
-from fleet.scenario.sections.trace_table import MOST_ROWS, TraceRow, TraceTable, read_csv
+from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
 from netem.condition import Condition
 from netem.grammar import WORDS, print_condition
+from netem.limits import TRACE
 from netem.link_presets import link_presets
 from netem.link_trace import LinkTrace
 
@@ -146,7 +147,7 @@ def test_mistakes_in_traces(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("time [s]," * 1_000_000 + "\n", "line 1: expected some of the columns time, delivered, delay"),
-        ("time [s],delivered\n" + "0,1\n" * (MOST_ROWS + 1), f"more than {MOST_ROWS} rows"),
+        ("time [s],delivered\n" + "0,1\n" * (TRACE.items + 1), f"more than {TRACE.items} rows"),
         *slow(("time [s],delay [ns]\n" + "".join(f"{n},{n:09}\n" for n in range(90_000)), "900000 is the most")),
         ("x" * 10_000_001, "larger than 10 MB"),
     ],

@@ -23,6 +23,7 @@ from fleet.scenario.sections.link_conditions import read_trace
 from fleet.scenario.sections.trace_table import TraceTable
 from fleet.scenario.text.yaml_reader import inline
 from fleet.stack.field_traces import RecordedMessage, Selection, trace_of, write_field_traces
+from netem.limits import TRACE
 from netem.relay import PUT, Relay, RobotMessage
 from netem.wire.open_bus import ZenohSample
 
@@ -173,7 +174,7 @@ def test_clocks_that_disagree_are_told(tmp_path: Path) -> None:
 
 
 def test_a_gap_longer_than_a_trace_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.stack.field_traces.MOST_ROWS", 1000)
+    monkeypatch.setattr("fleet.stack.field_traces.TRACE", TRACE._replace(items=1000))
     far = [(n, sample(b'{"seq": %d}' % k, None)) for n, k in enumerate((0, 10**15))]
     (table,), said = traces(record(tmp_path / "far.mcap", far))
     assert len(table.rows) == 1000

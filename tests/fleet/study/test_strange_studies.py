@@ -30,6 +30,7 @@ from fleet.study.row import Row
 from fleet.study.spec import MOST_ALLOWED
 from fleet.study.store import FILE, Store
 from fleet.study.values import AxisValue
+from netem.limits import STUDY_ROWS
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "table": lambda directory: fleet.open_study(directory).to_pandas(),
@@ -89,7 +90,7 @@ def test_a_text_or_a_file_that_is_too_long(store: Store, monkeypatch: pytest.Mon
     damage(store.directory, "UPDATE runs SET reason = printf('%.*c', 20000000, 'x') WHERE point = 0 AND seed = 1")
     with pytest.raises(StudyError, match="too big"):
         fleet.open_study(store.directory).to_pandas()
-    monkeypatch.setattr("fleet.study.store.MOST_BYTES", 1_000_000)
+    monkeypatch.setattr("fleet.study.store.STUDY_ROWS", STUDY_ROWS._replace(bytes=1_000_000))
     with pytest.raises(StudyError, match=r"is larger than 0.001 GB"):
         fleet.open_study(store.directory).to_pandas()
 

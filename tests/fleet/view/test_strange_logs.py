@@ -16,12 +16,13 @@ from in_process_runs import Alone, log_of
 from mcap.opcode import Opcode
 from small_scenario import small
 
-from fleet.logs.decoder import MOST_DECODED, decoded
+from fleet.logs.decoder import decoded
 from fleet.logs.reader import LogReadError
 from fleet.logs.tape import Tape
 from fleet.view.feed import TRANSFORMS, fault_message, is_lost, take
 from fleet.view.log_feed import LogFeed
 from fleet.view.view_state import ViewState
+from netem.limits import LOG_FAULTS, LOG_MESSAGE
 
 MIB = 1 << 20
 MEMORY = 900 * MIB  # of addresses, beside the 1 GiB to which a bomb unpacks
@@ -85,7 +86,7 @@ def test_commands_say_what_is_wrong_and_take_little_memory(kind: str, alone: Alo
 
 
 def test_messages_that_are_too_large_are_left_out() -> None:
-    large = bytes(MOST_DECODED + 1)
+    large = bytes(LOG_MESSAGE.bytes + 1)
     state = ViewState(small())
     take(state, TRANSFORMS, 0.5, large)
     take(state, "link/1-2", 0.5, large)
@@ -103,6 +104,6 @@ def test_more_faults_than_anybody_can_look_at_are_refused(
     (number,) = (number for number, channel in Tape(log).channels.items() if channel.topic == "faults")
     some = b"".join(record(Opcode.MESSAGE, MESSAGE.pack(number, k, 10**8, 10**8)) for k in range(5))
     strange = with_record(log, chunk(some, 10**8, 10**8), tmp_path / "a.mcap")
-    monkeypatch.setattr("fleet.view.log_feed.MOST_EVENTS", 4)
+    monkeypatch.setattr("fleet.view.log_feed.LOG_FAULTS", LOG_FAULTS._replace(items=4))
     with pytest.raises(LogReadError, match="more faults than are shown"):
         LogFeed(strange)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from netem.limits import FMU, FMU_DESCRIPTION
 from world.errors import FmuError
 from world.plants import fmu_archive
 from world.plants.fmu_archive import DESCRIPTION, archive, platforms, unpack
@@ -51,7 +52,7 @@ def test_a_link_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fmu_archive, "MAX_BYTES", 4 << 20)
+    monkeypatch.setattr(fmu_archive, "FMU", FMU._replace(bytes=4 << 20))
     path = made(tmp_path / "auv.fmu", {DESCRIPTION: b"<a/>", "resources/zeros": bytes(5 << 20)})
     assert path.stat().st_size < 1 << 20
     with pytest.raises(FmuError, match="would be 5 MiB unpacked: more than 4 MiB are not unpacked"):
@@ -70,14 +71,14 @@ def test_a_bomb_that_lies_about_its_size_is_not_unpacked_either(tmp_path: Path) 
 
 
 def test_too_many_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fmu_archive, "MAX_FILES", 3)
+    monkeypatch.setattr(fmu_archive, "FMU", FMU._replace(items=3))
     path = made(tmp_path / "auv.fmu", {DESCRIPTION: b"<a/>", **{f"resources/{k}": b"" for k in range(3)}})
     with pytest.raises(FmuError, match="holds 4 files: more than 3 are not unpacked"):
         unpack(path, tmp_path / "unpacked")
 
 
 def test_a_description_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fmu_archive, "MAX_DESCRIPTION_BYTES", 1 << 20)
+    monkeypatch.setattr(fmu_archive, "FMU_DESCRIPTION", FMU_DESCRIPTION._replace(bytes=1 << 20))
     path = made(tmp_path / "auv.fmu", {DESCRIPTION: bytes(2 << 20)})
     with pytest.raises(FmuError, match=r"has a modelDescription.xml of 2 MiB"):
         unpack(path, tmp_path / "unpacked")

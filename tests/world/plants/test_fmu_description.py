@@ -10,6 +10,7 @@ from refusals import check_refusals
 from repository import ROOT
 from spawned import python
 
+from netem.limits import FMU_DESCRIPTION
 from world.errors import FmuError
 from world.plants import fmu_archive, fmu_variables
 from world.plants.fmu_archive import archive
@@ -111,7 +112,7 @@ def test_too_many_variables_or_elements(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(fmu_variables, "MAX_VARIABLES", 2)
     with pytest.raises(FmuError, match="has more than 2 variables; export it with fewer"):
         parse(text("".join(map(scalar, "abc"))))
-    monkeypatch.setattr(fmu_variables, "MAX_ELEMENTS", 5)
+    monkeypatch.setattr(fmu_variables, "FMU_DESCRIPTION", FMU_DESCRIPTION._replace(items=5))
     with pytest.raises(FmuError, match="of more than 5 elements"):
         parse(text(scalar("a", "<b/>" * 5)))
 

@@ -1,8 +1,8 @@
 """Runs of moored vehicles with nothing around their agents but the network and the scenario's own checks.
 
 A search makes hundreds of runs, and nobody reads their logs. So there is no journal here, no metrics, no messages
-between processes. A run that passes here would pass in the emulator: the tests compare them. The caller repeats a run
-that fails here in the emulator, and only that counts.
+between processes. Its verdicts are those of the emulator: the tests compare them. A search repeats the first run of
+each kind of failure in the emulator, which gives the digest, and only that counts.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def fits(scenario: Scenario) -> bool:
 
 
 def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None = None) -> list[Verdict]:
-    """The verdicts of a scenario's own checks, if none failed. Empty: the emulator has to judge this run.
+    """The verdicts of a scenario's own checks. Empty: the emulator has to judge this run.
 
     Args:
         progress: called with the simulated time [s] in each round.
@@ -61,12 +61,11 @@ def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None =
         # One alarm for the whole run: one for each call of a check would take a fifth of its time.
         here = threading.current_thread() is threading.main_thread()  # only there signals arrive
         with alarm(BUDGET_S, 0.0, lambda: True) if here else nullcontext():
-            verdicts = run.to_end(progress)
+            return run.to_end(progress)
     except StudyError:  # it took too long
         raise
     except (Exception, OverBudgetError):  # a law failed, or a check asks for what is not here: the emulator says which
         return []
-    return [] if any(verdict.failed for verdict in verdicts) else verdicts
 
 
 _Timed = TypeVar("_Timed", bound=TimedFault)

@@ -50,7 +50,7 @@ class Task(NamedTuple):
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
     branch: Branch | None = None  # a part of a run, in place of all of it
-    bare: bool = False  # without an emulator or a digest, as far as that is possible and no check fails
+    bare: bool = False  # without a digest, and without an emulator as far as that is possible
 
 
 def late(task: Task) -> StudyError:
@@ -109,20 +109,16 @@ def _made(task: Task) -> Row:
         if task.branch is not None:
             return run_branch(scenario, task.branch, check)
         in_time = check if isfinite(task.timeout_s) else None
-        bare = task.bare and fits(scenario)
-        if bare and (verdicts := bare_verdicts(scenario, in_time)):
+        if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
             return _by_verdicts(task, verdicts)
         if scenario.spec.triggers:
             scenario = fired_of(task)
         samples = Samples(scenario, task.signals)
         if task.log:
             return _measured(recorded(scenario, Path(task.log), check, samples), samples)
-        if task.bare and not bare:
-            result = judged(scenario, in_time, log=NoDigest())
-            # A scenario that is to fail passes with checks that fail: a search finds these, and wants the digest.
-            if result.status is Status.PASS and not any(verdict.failed for verdict in result.checks):
-                return _by_verdicts(task, result.checks)
-        return _measured(judged(scenario, in_time, samples), samples)
+        # The digest of a run that fails is that of its repetition: to make it here would make each failure twice.
+        result = judged(scenario, in_time, samples, log=NoDigest() if task.bare else None)
+        return _measured(result, samples)
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         return _failed(task, error)
 
@@ -183,7 +179,8 @@ def _measured(result: Result, samples: Samples) -> Row:
     checks, numbers = _judged(result.checks)
     numbers |= {name: float(measure.of(result)) for name, measure in MEASURES.items()}
     numbers |= {name: float(value) for name, value in samples.numbers().items()}
-    return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason), digest=result.digest,
+    return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason),
+               digest=result.digest or None,
                passed=result.passed, checks=checks, numbers=numbers)  # fmt: skip
 
 

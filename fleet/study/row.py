@@ -82,12 +82,13 @@ class Row(Struct, kw_only=True):
         return self.numbers.get(name, nan)
 
     def compared(self, again: Row) -> Row:
-        """The row of a run that failed and was repeated; if both disagree, a row without a result that says so.
+        """The row of a run that failed and was repeated, with a digest if either has one; if both disagree, a row
+        without a result that says so.
 
         A run is a function of scenario and seed, so both must agree.
         """
         if again.judged and self.failed_checks == again.failed_checks:
-            return self
+            return self if self.digest is not None else structs.replace(again, key=self.key)
         failed = ", ".join(self.failed_checks)
         if again.judged:
             got = f"failed {', '.join(again.failed_checks) or 'none'} when it was repeated"

@@ -9,6 +9,7 @@ the tick, and the length of its timestamp, determine the layout.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import accumulate
 from struct import Struct, pack
 from typing import Any, NamedTuple
 
@@ -42,11 +43,12 @@ from world.signal import Signal, width_of
 # The doubles of one vehicle: the number of each kind's first one. Telemetry comes behind them, since its size is the
 # agent's, then what only a vehicle with a plant has: phi, p, the values of the plant's signals, measured phi, p. Last
 # is the belief of a vehicle that does not know where it is, and where it is by ranges.
-_STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _CLOCK, _TELEMETRY = 0, 10, 20, 26, 34, 38, 39
+_SIZES = (*(sum(one.width or 1 for one in group) for group in (STATE, STATE, COMMAND, ERROR)), 4, len(CLOCK_ERROR))
+_STATE, _NAV, _COMMAND, _ERROR, _QUATERNION, _CLOCK, _TELEMETRY = accumulate(_SIZES, initial=0)
 _VALUES = Struct(f"<{_TELEMETRY}d").pack_into  # all but telemetry
 _BELIEF = Struct(f"<{BELIEF_SIZE}d").pack_into
 _LOCATED = Struct(f"<{LOCATED_SIZE}d").pack_into
-_NO_NAV: tuple[float, ...] = (0.0,) * 10
+_NO_NAV: tuple[float, ...] = (0.0,) * _SIZES[1]
 _NO_ROLL: tuple[float, ...] = (0.0,) * 2
 _NO_TAU: tuple[float, ...] = (0.0,) * 3
 _RIGHT: tuple[float, ...] = (0.0,)

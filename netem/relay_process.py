@@ -314,6 +314,8 @@ class RelayProcess:
                 self._relay.late.add(late_ns)
                 self._kept_ns[i] = max(kept_ns, self._kept_ns.get(i, 0))
                 self._has_ended(due, at_ns, delivered=delivered)
+            for problem in robot.outlet.problems():
+                self._note(f"{robot.name}: {problem}")
 
     def _has_ended(self, due: DueMessage, at_ns: int, *, delivered: bool) -> None:
         self._untaken[due.dst] += not delivered

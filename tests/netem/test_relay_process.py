@@ -152,3 +152,18 @@ def test_a_token_is_shown_where_a_robot_that_has_it_reaches(events: list[tuple[i
         expected = {key for key, robots in have.items() if any((src, dst) in links for src in robots)}
         assert served.robots[dst].shown == expected
     served.end()
+
+
+def test_what_a_job_raises_is_said_once_and_the_robot_is_still_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(robot: Robot, token: str) -> None:
+        raise ValueError("no such token")
+
+    monkeypatch.setattr(Robot, "mirror", fails)
+    served = Served([(1, 3)])
+    for key in ("a", "b"):
+        served.queue.put(Token(1, key, True))
+    served.queue.put(put(1, b"last"))
+    wait_for(lambda: served.robots[3].taken, LIMIT_S, "the last")
+    fates, report = served.end()
+    assert [fate.cause for fate in fates] == [Cause.DELIVERED]
+    assert report.notes == ["fast: ValueError: no such token"]

@@ -29,7 +29,8 @@ from netem.faults import read_faults
 from netem.histogram import Histogram
 from netem.relay import DATAGRAM, MOST_LINK_BYTES, PUT, QUERY, REPLY, Carried, DueMessage, Relay, RobotMessage
 from netem.wire import robots
-from netem.wire.robots import Meeting, Robot, Ticket, Token
+from netem.wire.queues import MOST_ENTERING, MOST_ENTERING_BYTES, Inlet
+from netem.wire.robots import Meeting, Robot, Ticket, Token, Unfit
 from netem.wire.session import quiet_zenoh
 
 MOST_DATAGRAM = 65_535
@@ -132,7 +133,8 @@ class RelayProcess:
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
         self._said: list[Said] = []
-        self._placed: dict[int, tuple[str, bytes]] = {}
+        self._inlets = {access.number: Inlet(queue.put) for access in setup.robots}
+        self._refused: Counter[int] = Counter()  # by robot: messages that found no room on their way here
         self._waiting: dict[Ticket, int] = {}  # oldest first, with the bytes of its query; without us it would end
         self._waiting_bytes = 0
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
@@ -148,7 +150,7 @@ class RelayProcess:
         try:
             for access in setup.robots:
                 if access.listen or access.connect:
-                    self._robots[access.number] = Robot(access, setup.carry, queue.put)
+                    self._robots[access.number] = Robot(access, setup.carry, self._inlets[access.number])
             for port in setup.ports:
                 self._sockets[port.src, port.dst] = _bound(port)
             self._targets = {port: (_address(port.host), port.to) for port in setup.ports}
@@ -186,6 +188,7 @@ class RelayProcess:
                     self._take(self._queue.get(timeout=(until - now) / 1e9))
             for _ in range(min(_BATCH, self._queue.qsize())):
                 self._take(self._queue.get_nowait())
+            self._refuse()
             self._hand_over()
             self._settle()
             now = monotonic_ns()
@@ -206,9 +209,8 @@ class RelayProcess:
                 self._announced(item)
             case robots.Linked():
                 self._linked(item)
-            case robots.Placed(robot, key, payload):
-                self._placed[robot] = key, payload
             case _Datagram(port, at_ns, payload, sender):
+                self._inlets[port.src].release(len(payload))
                 known, heard_ns = self._senders.get(port.src, (sender, at_ns))
                 if sender == known or at_ns - heard_ns > SILENT_NS:
                     self._senders[port.src] = sender, at_ns
@@ -227,6 +229,7 @@ class RelayProcess:
             item.ticket.ended.add(item.robot)
             self._finish(item.ticket)
             return
+        self._inlets[message.src].release(len(message.payload))
         if message.kind == QUERY:
             self._waiting[message.what] = len(message.payload)
             self._waiting_bytes += len(message.payload)
@@ -243,6 +246,18 @@ class RelayProcess:
             tick = self._relay.tick(message.at_ns)
             self._said.append(Said(tick, message.src, message.key, message.kind, encoding, message.payload))
         self._relay.take(message)
+
+    def _refuse(self) -> None:
+        """Lose what found no room on its way here. A query of it has ended; who waits for a reply waits on."""
+        for src, inlet in self._inlets.items():
+            for name, count in inlet.unfit().items():
+                what = name if isinstance(name, Unfit) else Unfit(PUT, "", 0)
+                self._refused[src] += count
+                if what.ticket is not None:
+                    what.ticket.sent[src] = what.ticket.sent.get(src, 0) + count
+                for _ in range(count):
+                    message = RobotMessage(src, what.kind, what.key, b"", monotonic_ns(), to=what.to)
+                    self._relay.refuse(message, what.size)
 
     def _finish(self, ticket: Ticket) -> None:
         """End a query whose answers are all there. If one of them was lost, the asker waits for its own time-out."""
@@ -402,9 +417,9 @@ class RelayProcess:
             self._notes.append(text)
 
     def _report(self, until: int) -> None:
-        placed = [(i, *found) for i, found in self._placed.items()]
+        placed = [(i, *robot.placed.pop()) for i, robot in self._robots.items() if robot.placed]
         report = RelayReport(until, self._relay.report(until), self._said, placed, self._notes)
-        self._said, self._placed, self._notes = [], {}, []
+        self._said, self._notes = [], []
         self._outgoing.put(msgspec.msgpack.encode(report))
         while self._outgoing.qsize() > _BEHIND:
             self._sender.join(0.01)
@@ -427,6 +442,9 @@ class RelayProcess:
             if (kept_ns := self._kept_ns.get(i, 0)) > SLOW_NS or self._untaken[i]:
                 lost = f"; {self._untaken[i]} were not taken (receiver)" if self._untaken[i] else ""
                 self._note(f"{name} kept messages waiting for up to {kept_ns / 1e9:.3g} s{lost}")
+        for i, count in sorted(self._refused.items()):
+            most = f"more than {MOST_ENTERING} messages or {MOST_ENTERING_BYTES >> 20} MiB waited for the relay"
+            self._note(f"{names[i]}: {most}; {count} were lost (queue)")
         for src, dst in sorted(self._relay.full):
             most = f"more than {MOST_LINK_BYTES >> 20} MiB were under way"
             self._note(f"{names[src]}->{names[dst]}: {most}; what did not fit was lost (queue)")
@@ -469,10 +487,12 @@ class RelayProcess:
             self._queue.put(None)
 
     def _receive(self, port: Port, listening: socket.socket) -> None:
+        inlet = self._inlets[port.src]
         with suppress(OSError):  # closed at the end
             while True:
                 payload, sender = listening.recvfrom(MOST_DATAGRAM)
-                self._queue.put(_Datagram(port, monotonic_ns(), payload, sender))
+                name = partial(Unfit, DATAGRAM, f"udp/{port.port}", len(payload), port.dst)
+                inlet.offer(_Datagram(port, monotonic_ns(), payload, sender), len(payload), name)
 
     def _close(self) -> None:
         for each in self._sockets.values():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from multiprocessing import Pipe
 from queue import SimpleQueue
 from threading import Event, Thread
@@ -21,8 +22,10 @@ from netem.config import NetemConfig
 from netem.fault_kinds import Cause
 from netem.relay import DATAGRAM, PUT, Carried, RobotMessage
 from netem.relay_process import Port, RelayProcess, RelayReport, Setup
+from netem.wire import queues
 from netem.wire.outlet import MOST_BYTES, Outlet
-from netem.wire.robots import Meeting, Token
+from netem.wire.queues import Inlet
+from netem.wire.robots import Meeting, Token, Unfit
 
 LIMIT_S = 60.0
 NAMES = ("talker", "slow", "fast")
@@ -34,11 +37,12 @@ class Robot:
 
     goes = Event()
 
-    def __init__(self, access: Meeting, carry: tuple[str, ...], put: Any) -> None:
+    def __init__(self, access: Meeting, carry: tuple[str, ...], inlet: Inlet) -> None:
         self.number, self.name, self.outlet = access.number, access.name, Outlet()
         self.stayed: Counter[str] = Counter()
         self.matched = {0}
         self.routers: list[str] = []
+        self.placed: list[tuple[str, bytes]] = []
         self.taken: list[RobotMessage] = []
         self.shown: set[str] = set()
 
@@ -80,13 +84,16 @@ class Served:
         self.thread.start()
 
     def end(self) -> tuple[list[Carried], RelayReport]:
-        """All fates, and the last report."""
+        """All fates, and the last report with the notes of all."""
         self.console.send_bytes(msgspec.msgpack.encode({"op": "close"}))
         fates: list[Carried] = []
+        notes: list[str] = []
         while True:
             report = msgspec.msgpack.decode(self.console.recv_bytes(), type=RelayReport)
             fates += report.fates
+            notes += report.notes
             if report.closing is not None:
+                report.notes = notes
                 return fates, report
 
 
@@ -119,6 +126,39 @@ def test_a_robot_that_takes_nothing_delays_no_other_one() -> None:
     assert any(note.startswith("slow kept messages") and f"{count - fit} were not" in note for note in report.notes)
     assert report.closing is not None
     assert report.closing["late"]["count"] == count
+
+
+def test_what_waits_for_a_relay_that_is_behind_is_bounded_and_its_sender_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A flood of one robot takes no room from another one."""
+    monkeypatch.setattr(queues, "MOST_ENTERING", 10)
+    goes, reads = Event(), Event()
+
+    def read(item: Any) -> Any:
+        reads.set()
+        goes.wait(LIMIT_S)
+        return item
+
+    monkeypatch.setattr(relay_process.robots, "read", read)
+    served = Served([(1, 3), (2, 3)])
+    talker, slow = served.process._inlets[1], served.process._inlets[2]
+    for number in range(31):
+        talker.offer(put(1, b"x"), 1, partial(Unfit, PUT, "a/b", 1))
+        if number == 0:
+            assert reads.wait(LIMIT_S)  # and waits with the first one
+    slow.offer(put(2, b"last"), 4, partial(Unfit, PUT, "a/b", 4))
+    goes.set()
+    wait_for(lambda: len(served.robots[3].taken) == 11, LIMIT_S, "what fitted")
+    for _ in range(10):  # there is room again
+        talker.offer(put(1, b"x"), 1, partial(Unfit, PUT, "a/b", 1))
+    wait_for(lambda: len(served.robots[3].taken) == 21, LIMIT_S, "as much again")
+    fates, report = served.end()
+    causes = Counter((fate.src, fate.cause, fate.key, fate.size) for fate in fates)
+    assert causes == {
+        (1, Cause.DELIVERED, "a/b", 1): 20, (1, Cause.QUEUE, "a/b", 1): 21, (2, Cause.DELIVERED, "a/b", 4): 1,
+    }  # fmt: skip
+    assert any(note.startswith("talker: more than") and "21 were lost (queue)" in note for note in report.notes)
 
 
 def test_a_datagram_that_the_system_refuses_or_that_has_no_receiver_is_not_delivered() -> None:

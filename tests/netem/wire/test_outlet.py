@@ -95,7 +95,7 @@ def test_nothing_that_a_job_raises_ends_the_thread_and_all_is_accounted_for(
     outlet.do(done.set)
     assert done.wait(LIMIT_S)
     said = {None: "", BusError: "it went wrong", ValueError: "ValueError: it went wrong", Panic: "Panic: it went wrong"}
-    messages = [(number, said[raises], raises is None) for number, (is_message, raises) in enumerate(jobs) if is_message]
+    messages = [(n, said[raises], raises is None) for n, (is_message, raises) in enumerate(jobs) if is_message]
     assert [(one.message, one.problem, one.delivered) for one in outlet.outcomes()] == messages
     assert outlet.problems() == [said[raises] for is_message, raises in jobs if raises and not is_message]
     outlet.close()

@@ -18,6 +18,7 @@ from waiting import wait_for
 
 from netem.errors import BusError
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
+from netem.wire.queues import Inlet
 from netem.wire.robots import Meeting, Robot, Ticket, Token, read
 from netem.wire.session import open_session
 
@@ -36,7 +37,7 @@ class Net:
     def __init__(self) -> None:
         port = free_port()
         self.queue: SimpleQueue[Any] = SimpleQueue()
-        self.robot = Robot(Meeting(1, "auv1", listen=f"tcp/127.0.0.1:{port}"), CARRY, self.queue.put)
+        self.robot = Robot(Meeting(1, "auv1", listen=f"tcp/127.0.0.1:{port}"), CARRY, Inlet(self.queue.put))
         self.robot.begin()
         self.program = program(port)
 
@@ -193,7 +194,7 @@ def test_who_listens_on_a_unix_socket_removes_nothing_of_others(tmp_path: Path, 
         listens(tmp_path / "x")
     meeting = Meeting(1, "auv1", listen=f"unixsock-stream/{tmp_path / 'x'}")
     with pytest.raises(BusError, match="is there already"):
-        Robot(meeting, ["**"], print)
+        Robot(meeting, ["**"], Inlet(print))
     assert sorted((p.name, p.lstat().st_ino) for p in tmp_path.iterdir()) == before
 
 
@@ -218,5 +219,5 @@ def test_a_file_of_zenoh_adds_no_addresses(tmp_path: Path) -> None:
     port = free_port()
     there = open_session("router", {"listen/endpoints": [f"tcp/127.0.0.1:{port}"]})
     with closing(there):
-        Robot(Meeting(1, "a", connect=f"tcp/127.0.0.1:{port}", config=str(file)), ["**"], print).close()
+        Robot(Meeting(1, "a", connect=f"tcp/127.0.0.1:{port}", config=str(file)), ["**"], Inlet(print)).close()
     assert (tmp_path / "thesis").read_text() == "years of work"

@@ -42,6 +42,10 @@ _SETTINGS: dict[str, Any] = (
     | {
         "scouting/gossip/enabled": True,
         "transport/unicast/qos/enabled": True,
+        # A long message of a program on this host comes in memory that it shares, as at any router. We share none of
+        # ours: a full /dev/shm would end us.
+        "transport/shared_memory/enabled": True,
+        "transport/shared_memory/transport_optimization/enabled": False,
         "transport/link/tx/lease": 10_000,
         "transport/link/tx/queue/size/data": 16,
         # Connections that never log in; zenoh's own 100 keep new programs out for ten seconds.

@@ -4,7 +4,8 @@
    1 MB. The same two programs at one zenoh router are the baseline, before and after. The table has the latency from
    put to callback, and what the network adds. The median of several turns counts.
 2. Four robots, each with a program that puts 100 bytes at a growing rate; each message goes to three neighbours. A rate
-   holds if every message arrived and none left more than 20 ms late. The table ends where that is no longer so.
+   holds if every message arrived and at most 1 % left more than 20 ms late, as the check `punctual` has it. The table
+   ends where that is no longer so.
 3. Ten robots, each with a program that puts on 100 topics in turn; each message goes to nine neighbours.
 
 Senders say how late they were themselves: a machine that is busy with them measures nothing.
@@ -164,7 +165,7 @@ def capacity(robots: int, topics: int, rates: Sequence[int], seconds: float) -> 
         put = sum(one["count"] for one in sent)
         arrived = sum(one["count"] for one in heard) - put  # each hears its own, too
         late = result["punctual"]["late"]
-        holds = arrived == (robots - 1) * put and late["max_ms"] <= MOST_LATE_MS
+        holds = arrived == (robots - 1) * put and late["p99_ms"] <= MOST_LATE_MS
         shown = f"{late['p99_ms']:14.1f}  {late['max_ms']:9.1f}  {max(one['p99'] for one in sent):10.1f}"
         what = f"{arrived:10} of {(robots - 1) * put:10}"
         print(f"{rate:10} {(robots - 1) * rate:10} {what}  {shown}  {'' if holds else 'ends here'}", flush=True)

@@ -136,6 +136,7 @@ class RelayProcess:
         self._waiting_bytes = 0
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
         self._tokens: dict[str, set[int]] = {}  # by key: the robots that have it
+        self._leaving: dict[tuple[int, str], int] = {}  # tokens that are gone: how many robots are still asked for them
         self._coming: dict[Link, dict[str, int]] = {}  # when a token is to appear at the end of a link [ns]
         self._shown: dict[Link, set[str]] = {link: set() for link in setup.config.links}
         self._kept_ns: dict[int, int] = {}  # by robot: how long it let a message wait at most
@@ -204,6 +205,8 @@ class RelayProcess:
         match item:
             case Token():
                 self._announced(item)
+            case robots.Checked(gone):
+                self._checked(gone)
             case robots.Linked():
                 self._linked(item)
             case _Datagram(port, at_ns, payload, sender):
@@ -340,16 +343,16 @@ class RelayProcess:
         if not robot.carries(key):
             return
         links = [(token.robot, dst) for dst in self._hearers.get(token.robot, ())]
-        holders = self._tokens.get(key, set())
+        holders, name = self._tokens.get(key, set()), (token.robot, key)
         if not token.alive:
-            if token.robot in holders:
-                holders.remove(token.robot)
-                if not holders:
-                    del self._tokens[key]
-                for link in links:
-                    self._coming.get(link, {}).pop(key, None)
-                    self._hide(link, key)
+            if token.robot in holders and name not in self._leaving:
+                asked = [self._robots[link[1]] for link in links if key in self._shown[link]]
+                self._leaving[name] = len(asked) + 1
+                for other in asked:
+                    other.check(token)
+                self._checked(token)
             return
+        self._leaving.pop(name, None)
         if token.robot in holders:
             return
         if len(self._tokens) >= robots.MOST_TOKENS:
@@ -361,6 +364,25 @@ class RelayProcess:
                 self._coming.setdefault(link, {})[key] = monotonic_ns() + self._relay.latency_ns(link)
             else:
                 self._show(link, key)
+
+    def _checked(self, gone: Token) -> None:
+        """Hide a token that is gone at its robot when all that show it have said whether they have it, too. If one has
+        it, the others see it without interruption.
+        """
+        name = gone.robot, gone.key
+        if name not in self._leaving:
+            return  # it has come back
+        self._leaving[name] -= 1
+        if self._leaving[name]:
+            return
+        del self._leaving[name]
+        holders = self._tokens[gone.key]
+        holders.remove(gone.robot)
+        if not holders:
+            del self._tokens[gone.key]
+        for dst in self._hearers.get(gone.robot, ()):
+            self._coming.get((gone.robot, dst), {}).pop(gone.key, None)
+            self._hide((gone.robot, dst), gone.key)
 
     def _show(self, link: Link, key: str) -> None:
         self._shown[link].add(key)

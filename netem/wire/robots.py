@@ -91,6 +91,12 @@ class Token(NamedTuple):
     alive: bool
 
 
+class Checked(NamedTuple):
+    """A robot has been asked whether it has a token, too, that is gone at another one."""
+
+    gone: Token
+
+
 class Unfit(NamedTuple):
     """A message that found no room on its way to the relay."""
 
@@ -144,6 +150,8 @@ class Robot:
         self.placed: deque[tuple[str, bytes]] = deque(maxlen=1)  # key and message that say last where it is
         self._inlet, self._put = inlet, inlet.put
         self._session = _opened(access)
+        # What our router says of tokens; one of others may have no admin space.
+        self._held_here = f"@/{self._session.zid()}/router/token" if access.listen else ""
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
@@ -241,6 +249,30 @@ class Robot:
             return self._includes(zenoh.KeyExpr(key.partition("/@adv/")[0])) is not None
         except zenoh.ZError:
             return False
+
+    def check(self, gone: Token) -> None:
+        """Find out whether a program of this robot has a token, too, that is gone at another one: zenoh does not say so
+        while we show it. A thread of zenoh puts the token, if so, and then `Checked`.
+        """
+        ours, number, put = str(self._session.zid()), self.number, self._put
+
+        def found(reply: Any) -> None:
+            holders = json.loads(reply.ok.payload.to_bytes()) if reply.ok else {}
+            if any(zid != ours for kind in holders.values() for zid in kind):
+                put(Token(number, gone.key, True))
+
+        def ended() -> None:
+            put(Checked(gone))
+
+        try:
+            if self._held_here:
+                self._session.get(
+                    f"{self._held_here}/{gone.key}", zenoh.handlers.Callback(found, ended, indirect=False)
+                )
+                return
+        except zenoh.ZError as error:
+            log.warning("%s: cannot look for the token %s: %s", self.name, gone.key, reason(error))
+        ended()
 
     # --- on the thread of its outlet
 
@@ -413,7 +445,7 @@ def _opened(access: Meeting) -> zenoh.Session:
         raise BusError(f"{access.name}: {access.config} is no configuration of zenoh ({reason(error)})") from None
     settings = dict(_SETTINGS)
     if access.listen:
-        settings |= {"mode": "router", "connect/endpoints": []} | listening([access.listen])
+        settings |= {"mode": "router", "connect/endpoints": [], "adminspace/enabled": True} | listening([access.listen])
         problem = f"{access.name}: cannot listen on {access.listen}"
     else:
         settings |= {"mode": "client", "listen/endpoints": []} | client_settings([access.connect], None, 5000)

@@ -37,8 +37,11 @@ MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
 MOST_WAITING_BYTES = 64 << 20  # of queries that wait for answers
 MOST_NOTES = 1000
 SILENT_NS = 10_000_000_000  # then another program may take the place of the sender of datagrams
+MOST_KEYS = 10  # of a robot that a note names
 SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is named
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
+_LOOK_ROUNDS = 100  # between two looks at the keys of publishers
+_END_S = 1.0  # for the last look
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
 
 
@@ -196,6 +199,9 @@ class RelayProcess:
                     self._end = self._setup.ticks
                     break
                 self._discover(now)
+                if reported % _LOOK_ROUNDS == 0:
+                    for robot in self._robots.values():
+                        robot.look()
                 self._report(reported * config.round_ticks)
         self._last(min(self._end, self._setup.ticks))
 
@@ -445,6 +451,8 @@ class RelayProcess:
 
     def _last(self, end: int) -> None:
         self._settle()
+        for looked in [robot.look() for robot in self._robots.values()]:
+            looked.wait(_END_S)
         self._sum_up()
         fates = self._relay.close(end)
         closing = {
@@ -474,6 +482,9 @@ class RelayProcess:
                 some = ", ".join(repr(key) for key, _ in robot.stayed.most_common(3))
                 what = f"{count} messages, queries and replies whose keys no expression of carry includes ({some})"
                 self._note(f"{robot.name}: {what} stayed with it")
+            if keys := sorted(robot.uncarried):
+                some = ", ".join(map(repr, keys[:MOST_KEYS])) + (", ..." if len(keys) > MOST_KEYS else "")
+                self._note(f"{robot.name}: no expression of carry includes {len(keys)} keys of publishers ({some})")
         for number, key in enumerate(self._setup.carry):
             if self._robots and number not in matched and key != "**":
                 self._note(f"carry: nothing came on {key}")

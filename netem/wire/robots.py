@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from threading import current_thread
+from threading import Event, current_thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
@@ -150,8 +150,9 @@ class Robot:
         self.placed: deque[tuple[str, bytes]] = deque(maxlen=1)  # key and message that say last where it is
         self._inlet, self._put = inlet, inlet.put
         self._session = _opened(access)
-        # What our router says of tokens; one of others may have no admin space.
-        self._held_here = f"@/{self._session.zid()}/router/token" if access.listen else ""
+        # The admin space of our router; one of others may have none.
+        self._admin = f"@/{self._session.zid()}/router/" if access.listen else ""
+        self.uncarried: set[str] = set()  # keys of publishers that no expression of `carry` includes
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
@@ -261,17 +262,30 @@ class Robot:
             if any(zid != ours for kind in holders.values() for zid in kind):
                 put(Token(number, gone.key, True))
 
-        def ended() -> None:
-            put(Checked(gone))
+        self._ask_router(f"token/{gone.key}", found, lambda: put(Checked(gone)))
 
+    def look(self) -> Event:
+        """Find out on which keys programs publish that no expression of `carry` includes. Our router lists publishers,
+        so that what they put need not come here. Returns what is set at the end.
+        """
+        ended = Event()
+
+        def found(reply: Any) -> None:
+            key = str(reply.ok.key_expr).removeprefix(f"{self._admin}publisher/") if reply.ok else ""
+            if key and len(self.uncarried) < MOST_TOKENS and self._includes(zenoh.KeyExpr(key)) is None:
+                self.uncarried.add(key)
+
+        self._ask_router("publisher/**", found, ended.set)
+        return ended
+
+    def _ask_router(self, key: str, found: Callable[[Any], None], ended: Callable[[], None]) -> None:
+        """Call `found` with each entry of our router's admin space, and `ended` behind all, on a thread of zenoh."""
         try:
-            if self._held_here:
-                self._session.get(
-                    f"{self._held_here}/{gone.key}", zenoh.handlers.Callback(found, ended, indirect=False)
-                )
+            if self._admin:
+                self._session.get(self._admin + key, zenoh.handlers.Callback(found, ended, indirect=False))
                 return
         except zenoh.ZError as error:
-            log.warning("%s: cannot look for the token %s: %s", self.name, gone.key, reason(error))
+            log.warning("%s: cannot ask its router for %s: %s", self.name, key, reason(error))
         ended()
 
     # --- on the thread of its outlet

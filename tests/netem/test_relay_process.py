@@ -41,6 +41,7 @@ class Robot:
         self.number, self.name, self.outlet = access.number, access.name, Outlet()
         self.stayed: Counter[str] = Counter()
         self.matched = {0}
+        self.uncarried: set[str] = set()
         self.routers: list[str] = []
         self.placed: list[tuple[str, bytes]] = []
         self.taken: list[RobotMessage] = []
@@ -48,6 +49,11 @@ class Robot:
         self.seen: list[tuple[str, bool]] = []  # what an observer sees of tokens
         self.hidden: set[str] = set()  # tokens of its own of which zenoh says nothing, because we show them
         self.put = inlet.put
+
+    def look(self) -> Event:
+        found = Event()
+        found.set()
+        return found
 
     def begin(self) -> None:
         pass
@@ -202,6 +208,17 @@ def test_a_token_is_shown_where_a_robot_that_has_it_reaches(events: list[tuple[i
         expected = {key for key, robots in have.items() if any((src, dst) in links for src in robots)}
         assert served.robots[dst].shown == expected
     served.end()
+
+
+@pytest.mark.parametrize("count", [0, 2, 12])
+def test_a_note_names_keys_that_nothing_carries_as_many_as_a_line_holds(count: int) -> None:
+    served = Served([(1, 2)])
+    keys = [f"k/{number:02}" for number in range(count)]
+    served.robots[2].uncarried.update(keys)
+    _, report = served.end()
+    named = ", ".join(map(repr, keys[:10])) + (", ..." if count > 10 else "")
+    note = f"slow: no expression of carry includes {count} keys of publishers ({named})"
+    assert report.notes == ([note] if count else [])
 
 
 @pytest.mark.parametrize("returns", [False, True])

@@ -171,6 +171,16 @@ def test_a_token_that_two_robots_have_is_still_known_when_one_goes(net: Net) -> 
     wait_for(lambda: net.tokens().get("0/fleet/alive") is False, LIMIT_S, "its end")
 
 
+def test_keys_of_publishers_that_nothing_carries_are_known_without_their_messages(net: Net) -> None:
+    keys = ("0/fleet/x", "0/secret", "0/cam%era/a-b/image", "0/**")
+    publishers = [net.program.declare_publisher(key) for key in keys]
+    expected = {"0/secret", "0/cam%era/a-b/image", "0/**"}
+    wait_for(lambda: net.robot.look().wait(LIMIT_S) and net.robot.uncarried >= expected, LIMIT_S, "the keys")
+    assert net.robot.uncarried == expected
+    for publisher in publishers:
+        publisher.undeclare()
+
+
 def test_a_robot_says_whether_it_has_a_token_that_is_shown_there(net: Net) -> None:
     gone = Token(2, "0/fleet/both", False)
 

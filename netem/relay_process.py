@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import socket
+import sys
 from collections import Counter
 from contextlib import suppress
 from functools import partial
@@ -42,6 +43,7 @@ SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is name
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
 _LOOK_ROUNDS = 100  # between two looks at the keys of publishers
 _END_S = 1.0  # for the last look
+_SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
 
 
@@ -105,6 +107,7 @@ def run(pipe: Connection, setup: Setup) -> None:
     """Serve until the console says so, or is gone. It first gets one text: empty, or why this cannot begin."""
     quiet_zenoh()
     os.environ.pop("ZENOH_RUNTIME", None)
+    sys.setswitchinterval(_SWITCH_S)
     queue: SimpleQueue[Any] = SimpleQueue()
     try:
         process = RelayProcess(pipe, setup, queue)

@@ -41,6 +41,8 @@ SILENT_NS = 10_000_000_000  # then another program may take the place of the sen
 MOST_KEYS = 10  # of a robot that a note names
 SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is named
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
+_MOST_CHECKS = 5  # of tokens that go in a round: a router looks through all that it has each time
+_MOST_CHECKED = 200  # tokens; with more of them there is no check
 _LOOK_ROUNDS = 100  # between two looks at the keys of publishers
 _END_S = 1.0  # for the last look
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
@@ -143,6 +145,7 @@ class RelayProcess:
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
         self._tokens: dict[str, set[int]] = {}  # by key: the robots that have it
         self._leaving: dict[tuple[int, str], int] = {}  # tokens that are gone: how many robots are still asked for them
+        self._checks = 0  # of tokens that are gone, in this round
         self._coming: dict[Link, dict[str, int]] = {}  # when a token is to appear at the end of a link [ns]
         self._shown: dict[Link, set[str]] = {link: set() for link in setup.config.links}
         self._kept_ns: dict[int, int] = {}  # by robot: how long it let a message wait at most
@@ -201,6 +204,7 @@ class RelayProcess:
                 if reported * config.round_ticks >= self._setup.ticks:
                     self._end = self._setup.ticks
                     break
+                self._checks = 0
                 self._discover(now)
                 if reported % _LOOK_ROUNDS == 0:
                     for robot in self._robots.values():
@@ -355,7 +359,9 @@ class RelayProcess:
         holders, name = self._tokens.get(key, set()), (token.robot, key)
         if not token.alive:
             if token.robot in holders and name not in self._leaving:
-                asked = [self._robots[link[1]] for link in links if key in self._shown[link]]
+                self._checks += 1
+                asks = self._checks <= _MOST_CHECKS and len(self._tokens) <= _MOST_CHECKED
+                asked = [self._robots[link[1]] for link in links if asks and key in self._shown[link]]
                 self._leaving[name] = len(asked) + 1
                 for other in asked:
                     other.check(token)

@@ -135,6 +135,10 @@ class AcousticChannel:
         self._transit.hand_over(self._ranges.give_up(None))
         self._receptions, self._transfers, self._answers = [], {}, []
 
+    def refuse(self, tick: int, src: int, payload: bytes) -> None:
+        """Lose a payload before its modem has it, because too much waits there."""
+        self._lose_unsent(src, self._enter(tick, src, payload, 0), tick, Cause.QUEUE)
+
     def under_way(self) -> set[tuple[int, int]]:
         """The payloads without a final fate, by vehicle and number."""
         unsent = {(src, sent.seq) for src, each in self._stations.items() for sent in (*each.late, *each.waiting)} | {
@@ -146,15 +150,19 @@ class AcousticChannel:
     # ---------------------------------------------------------------------------------- the modems
 
     def _accept(self, tick: int, src: int, payload: bytes, faults: ActiveFaults) -> None:
-        station = self._stations[src]
-        sent = Waiting(tick + faults.slow.get(src, 0), station.seq, tick, payload)
-        station.seq += 1
-        for dst in self._links.receivers[src]:
-            self._links.ledger.enter((src, dst), sent=1)
+        sent = self._enter(tick, src, payload, faults.slow.get(src, 0))
         if len(payload) > self._longest[src]:
             self._lose_unsent(src, sent, tick, Cause.MTU)
         else:
-            insort(station.late, sent)
+            insort(self._stations[src].late, sent)
+
+    def _enter(self, tick: int, src: int, payload: bytes, later: int) -> Waiting:
+        station = self._stations[src]
+        sent = Waiting(tick + later, station.seq, tick, payload)
+        station.seq += 1
+        for dst in self._links.receivers[src]:
+            self._links.ledger.enter((src, dst), sent=1)
+        return sent
 
     def _next_event(self, alive: list[Station], until: int) -> int | None:
         ticks = [answer.start_tick for answer in self._answers]

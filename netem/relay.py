@@ -152,12 +152,13 @@ class Relay:
         if fragments and config.acoustic is not None:
             self._room = {i: max(1, config.acoustic.longest(config.tick_ns, i) - header) for i in config.vehicles}
         self._links, self._out = make_links(config), _Outbox(config)
+        self._links_of = {src: [(src, dst) for dst in all_dst] for src, all_dst in self._links.receivers.items()}
         self._out.begin_ns = begin_ns
         self._dry = None if water else IndependentLinks(config, self._links, self._out)
         self._water = AcousticChannel(config, self._links, self._out) if water else None
         self._taken = 0
         self._leaving: dict[int, DueMessage] = {}  # given out by `handed` and not yet settled, by identity
-        self._came: dict[int, list[bytes]] = {}  # for the next tick, in water
+        self._came: dict[int, list[tuple[PacketPart, bytes]]] = {}  # for the next tick, in water
         self._numbers = dict.fromkeys(config.vehicles, 0)  # of the next packet, in water
         self._next = 0  # tick of the next round, in water
         self._arrived: dict[tuple[int, int], dict[int, bytes]] = {}  # parts by (receiver, message)
@@ -190,17 +191,29 @@ class Relay:
         self._taken = message.number = self._taken + 1
         parts = self._parts(message)
         if self._water is not None:
-            self._remember(src, parts)
+            self._came.setdefault(src, []).extend(parts)
             return
         tick, out = self.tick(message.at_ns), self._out
         faults = self._faults(tick)
         assert self._dry is not None
-        for dst in self._links.receivers[src] if message.to is None else [message.to]:
-            if (src, dst) in self._links.models:
-                for part, data in parts:
-                    out.now = part
-                    self._dry.enter(tick, (src, dst), data, faults)
+        for link in self._ways(message):
+            for part, data in parts:
+                out.now = part
+                self._dry.enter(tick, link, data, faults)
         out.now = None
+
+    def refuse(self, message: RobotMessage, size: int) -> None:
+        """Lose a message of `size` bytes, whose payload is not kept, before it enters a link: too much waits."""
+        self._out.now, data = PacketPart(message, 0, 1, size), bytes(size) + self._header
+        if self._water is not None:
+            self._water.refuse(self._next, message.src, data)
+            self._numbers[message.src] += 1
+        elif self._dry is not None:
+            links = self._ways(message)
+            cut = self._faults(self.tick(message.at_ns))._replace(cut=dict.fromkeys(links, Cause.QUEUE))
+            for link in links:
+                self._dry.enter(self.tick(message.at_ns), link, data, cut)
+        self._out.now = None
 
     def handed(self, now_ns: int) -> Iterator[DueMessage]:
         """Every message that is due, in that order. The caller says with `settle` what became of each, and counts in
@@ -291,16 +304,18 @@ class Relay:
             for number, piece in enumerate(pieces)
         ]
 
-    def _remember(self, src: int, parts: list[tuple[PacketPart, bytes]]) -> None:
-        named = self._out.named
-        for part, data in parts:
-            self._came.setdefault(src, []).append(data)
-            named[src, self._numbers[src]] = part
-            self._numbers[src] += 1
+    def _ways(self, message: RobotMessage) -> list[Link]:
+        """The links that a message enters."""
+        links = self._links_of[message.src]
+        return links if message.to is None else [link for link in links if link[1] == message.to]
 
     def _carry(self, water: AcousticChannel) -> None:
         tick = self._next
-        came = {src: tuple(payloads) for src, payloads in self._came.items()}
+        came = {src: tuple(data for _, data in parts) for src, parts in self._came.items()}
+        for src, parts in self._came.items():
+            for number, (part, _) in enumerate(parts, self._numbers[src]):
+                self._out.named[src, number] = part
+            self._numbers[src] += len(parts)
         self._came = {}
         water.carry(MediumRound(tick, tick + 1, came, self.places, self._faults(tick)))
         self._next = tick + 1

@@ -29,7 +29,8 @@ from netem.faults import read_faults
 from netem.histogram import Histogram
 from netem.relay import DATAGRAM, MOST_LINK_BYTES, PUT, QUERY, REPLY, Carried, DueMessage, Relay, RobotMessage
 from netem.wire import robots
-from netem.wire.robots import Meeting, Robot, Ticket, Token
+from netem.wire.queues import MOST_ENTERING, MOST_ENTERING_BYTES, Inlet
+from netem.wire.robots import Meeting, Robot, Ticket, Token, Unfit
 from netem.wire.session import quiet_zenoh
 
 MOST_DATAGRAM = 65_535
@@ -37,8 +38,13 @@ MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
 MOST_WAITING_BYTES = 64 << 20  # of queries that wait for answers
 MOST_NOTES = 1000
 SILENT_NS = 10_000_000_000  # then another program may take the place of the sender of datagrams
+MOST_KEYS = 10  # of a robot that a note names
 SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is named
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
+_MOST_CHECKS = 5  # of tokens that go in a round: a router looks through all that it has each time
+_MOST_CHECKED = 200  # tokens; with more of them there is no check
+_LOOK_ROUNDS = 100  # between two looks at the keys of publishers
+_END_S = 1.0  # for the last look
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
 
@@ -132,11 +138,14 @@ class RelayProcess:
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
         self._said: list[Said] = []
-        self._placed: dict[int, tuple[str, bytes]] = {}
+        self._inlets = {access.number: Inlet(queue.put) for access in setup.robots}
+        self._refused: Counter[int] = Counter()  # by robot: messages that found no room on their way here
         self._waiting: dict[Ticket, int] = {}  # oldest first, with the bytes of its query; without us it would end
         self._waiting_bytes = 0
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
         self._tokens: dict[str, set[int]] = {}  # by key: the robots that have it
+        self._leaving: dict[tuple[int, str], int] = {}  # tokens that are gone: how many robots are still asked for them
+        self._checks = 0  # of tokens that are gone, in this round
         self._coming: dict[Link, dict[str, int]] = {}  # when a token is to appear at the end of a link [ns]
         self._shown: dict[Link, set[str]] = {link: set() for link in setup.config.links}
         self._kept_ns: dict[int, int] = {}  # by robot: how long it let a message wait at most
@@ -148,7 +157,7 @@ class RelayProcess:
         try:
             for access in setup.robots:
                 if access.listen or access.connect:
-                    self._robots[access.number] = Robot(access, setup.carry, queue.put)
+                    self._robots[access.number] = Robot(access, setup.carry, self._inlets[access.number])
             for port in setup.ports:
                 self._sockets[port.src, port.dst] = _bound(port)
             self._targets = {port: (_address(port.host), port.to) for port in setup.ports}
@@ -186,6 +195,7 @@ class RelayProcess:
                     self._take(self._queue.get(timeout=(until - now) / 1e9))
             for _ in range(min(_BATCH, self._queue.qsize())):
                 self._take(self._queue.get_nowait())
+            self._refuse()
             self._hand_over()
             self._settle()
             now = monotonic_ns()
@@ -194,7 +204,11 @@ class RelayProcess:
                 if reported * config.round_ticks >= self._setup.ticks:
                     self._end = self._setup.ticks
                     break
+                self._checks = 0
                 self._discover(now)
+                if reported % _LOOK_ROUNDS == 0:
+                    for robot in self._robots.values():
+                        robot.look()
                 self._report(reported * config.round_ticks)
         self._last(min(self._end, self._setup.ticks))
 
@@ -204,11 +218,12 @@ class RelayProcess:
         match item:
             case Token():
                 self._announced(item)
+            case robots.Checked(gone):
+                self._checked(gone)
             case robots.Linked():
                 self._linked(item)
-            case robots.Placed(robot, key, payload):
-                self._placed[robot] = key, payload
             case _Datagram(port, at_ns, payload, sender):
+                self._inlets[port.src].release(len(payload))
                 known, heard_ns = self._senders.get(port.src, (sender, at_ns))
                 if sender == known or at_ns - heard_ns > SILENT_NS:
                     self._senders[port.src] = sender, at_ns
@@ -227,6 +242,7 @@ class RelayProcess:
             item.ticket.ended.add(item.robot)
             self._finish(item.ticket)
             return
+        self._inlets[message.src].release(len(message.payload))
         if message.kind == QUERY:
             self._waiting[message.what] = len(message.payload)
             self._waiting_bytes += len(message.payload)
@@ -243,6 +259,18 @@ class RelayProcess:
             tick = self._relay.tick(message.at_ns)
             self._said.append(Said(tick, message.src, message.key, message.kind, encoding, message.payload))
         self._relay.take(message)
+
+    def _refuse(self) -> None:
+        """Lose what found no room on its way here. A query of it has ended; who waits for a reply waits on."""
+        for src, inlet in self._inlets.items():
+            for name, count in inlet.unfit().items():
+                what = name if isinstance(name, Unfit) else Unfit(PUT, "", 0)
+                self._refused[src] += count
+                if what.ticket is not None:
+                    what.ticket.sent[src] = what.ticket.sent.get(src, 0) + count
+                for _ in range(count):
+                    message = RobotMessage(src, what.kind, what.key, b"", monotonic_ns(), to=what.to)
+                    self._relay.refuse(message, what.size)
 
     def _finish(self, ticket: Ticket) -> None:
         """End a query whose answers are all there. If one of them was lost, the asker waits for its own time-out."""
@@ -314,6 +342,8 @@ class RelayProcess:
                 self._relay.late.add(late_ns)
                 self._kept_ns[i] = max(kept_ns, self._kept_ns.get(i, 0))
                 self._has_ended(due, at_ns, delivered=delivered)
+            for problem in robot.outlet.problems():
+                self._note(f"{robot.name}: {problem}")
 
     def _has_ended(self, due: DueMessage, at_ns: int, *, delivered: bool) -> None:
         self._untaken[due.dst] += not delivered
@@ -326,16 +356,18 @@ class RelayProcess:
         if not robot.carries(key):
             return
         links = [(token.robot, dst) for dst in self._hearers.get(token.robot, ())]
-        holders = self._tokens.get(key, set())
+        holders, name = self._tokens.get(key, set()), (token.robot, key)
         if not token.alive:
-            if token.robot in holders:
-                holders.remove(token.robot)
-                if not holders:
-                    del self._tokens[key]
-                for link in links:
-                    self._coming.get(link, {}).pop(key, None)
-                    self._hide(link, key)
+            if token.robot in holders and name not in self._leaving:
+                self._checks += 1
+                asks = self._checks <= _MOST_CHECKS and len(self._tokens) <= _MOST_CHECKED
+                asked = [self._robots[link[1]] for link in links if asks and key in self._shown[link]]
+                self._leaving[name] = len(asked) + 1
+                for other in asked:
+                    other.check(token)
+                self._checked(token)
             return
+        self._leaving.pop(name, None)
         if token.robot in holders:
             return
         if len(self._tokens) >= robots.MOST_TOKENS:
@@ -347,6 +379,25 @@ class RelayProcess:
                 self._coming.setdefault(link, {})[key] = monotonic_ns() + self._relay.latency_ns(link)
             else:
                 self._show(link, key)
+
+    def _checked(self, gone: Token) -> None:
+        """Hide a token that is gone at its robot when all that show it have said whether they have it, too. If one has
+        it, the others see it without interruption.
+        """
+        name = gone.robot, gone.key
+        if name not in self._leaving:
+            return  # it has come back
+        self._leaving[name] -= 1
+        if self._leaving[name]:
+            return
+        del self._leaving[name]
+        holders = self._tokens[gone.key]
+        holders.remove(gone.robot)
+        if not holders:
+            del self._tokens[gone.key]
+        for dst in self._hearers.get(gone.robot, ()):
+            self._coming.get((gone.robot, dst), {}).pop(gone.key, None)
+            self._hide((gone.robot, dst), gone.key)
 
     def _show(self, link: Link, key: str) -> None:
         self._shown[link].add(key)
@@ -400,15 +451,17 @@ class RelayProcess:
             self._notes.append(text)
 
     def _report(self, until: int) -> None:
-        placed = [(i, *found) for i, found in self._placed.items()]
+        placed = [(i, *robot.placed.pop()) for i, robot in self._robots.items() if robot.placed]
         report = RelayReport(until, self._relay.report(until), self._said, placed, self._notes)
-        self._said, self._placed, self._notes = [], {}, []
+        self._said, self._notes = [], []
         self._outgoing.put(msgspec.msgpack.encode(report))
         while self._outgoing.qsize() > _BEHIND:
             self._sender.join(0.01)
 
     def _last(self, end: int) -> None:
         self._settle()
+        for looked in [robot.look() for robot in self._robots.values()]:
+            looked.wait(_END_S)
         self._sum_up()
         fates = self._relay.close(end)
         closing = {
@@ -425,6 +478,9 @@ class RelayProcess:
             if (kept_ns := self._kept_ns.get(i, 0)) > SLOW_NS or self._untaken[i]:
                 lost = f"; {self._untaken[i]} were not taken (receiver)" if self._untaken[i] else ""
                 self._note(f"{name} kept messages waiting for up to {kept_ns / 1e9:.3g} s{lost}")
+        for i, count in sorted(self._refused.items()):
+            most = f"more than {MOST_ENTERING} messages or {MOST_ENTERING_BYTES >> 20} MiB waited for the relay"
+            self._note(f"{names[i]}: {most}; {count} were lost (queue)")
         for src, dst in sorted(self._relay.full):
             most = f"more than {MOST_LINK_BYTES >> 20} MiB were under way"
             self._note(f"{names[src]}->{names[dst]}: {most}; what did not fit was lost (queue)")
@@ -435,6 +491,9 @@ class RelayProcess:
                 some = ", ".join(repr(key) for key, _ in robot.stayed.most_common(3))
                 what = f"{count} messages, queries and replies whose keys no expression of carry includes ({some})"
                 self._note(f"{robot.name}: {what} stayed with it")
+            if keys := sorted(robot.uncarried):
+                some = ", ".join(map(repr, keys[:MOST_KEYS])) + (", ..." if len(keys) > MOST_KEYS else "")
+                self._note(f"{robot.name}: no expression of carry includes {len(keys)} keys of publishers ({some})")
         for number, key in enumerate(self._setup.carry):
             if self._robots and number not in matched and key != "**":
                 self._note(f"carry: nothing came on {key}")
@@ -467,10 +526,12 @@ class RelayProcess:
             self._queue.put(None)
 
     def _receive(self, port: Port, listening: socket.socket) -> None:
+        inlet = self._inlets[port.src]
         with suppress(OSError):  # closed at the end
             while True:
                 payload, sender = listening.recvfrom(MOST_DATAGRAM)
-                self._queue.put(_Datagram(port, monotonic_ns(), payload, sender))
+                name = partial(Unfit, DATAGRAM, f"udp/{port.port}", len(payload), port.dst)
+                inlet.offer(_Datagram(port, monotonic_ns(), payload, sender), len(payload), name)
 
     def _close(self) -> None:
         for each in self._sockets.values():

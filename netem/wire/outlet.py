@@ -41,6 +41,7 @@ class Outlet:
         self._offered, self._offered_bytes = 0, 0  # one thread counts what it offers,
         self._worked, self._worked_bytes = 0, 0  # and the other what it has done
         self._outcomes: deque[HandOver] = deque()
+        self._problems: deque[str] = deque()
         self._free_ns = self._lost_ns = 0
         self.thread = Thread(target=self._serve, daemon=True)
         self.thread.start()
@@ -63,6 +64,10 @@ class Outlet:
         """What has become of messages since the last call."""
         return [self._outcomes.popleft() for _ in range(len(self._outcomes))]
 
+    def problems(self) -> list[str]:
+        """Why jobs that are no messages were not done to their end, since the last call."""
+        return [self._problems.popleft() for _ in range(len(self._problems))]
+
     def lost_link(self) -> None:
         """A program has gone: what is being handed over just now may not reach it."""
         self._lost_ns = monotonic_ns()
@@ -72,11 +77,8 @@ class Outlet:
         self._jobs.put(None)
 
     def _hand(self, job: _Job) -> None:
-        begin_ns, problem = monotonic_ns(), ""
-        try:
-            job.hand()
-        except BusError as error:
-            problem = str(error)
+        begin_ns = monotonic_ns()
+        problem = _problem(job.hand)
         end_ns = monotonic_ns()
         late_ns = begin_ns - max(job.due_ns, self._free_ns)
         kept_ns = end_ns - job.due_ns - late_ns
@@ -90,5 +92,16 @@ class Outlet:
         while (job := self._jobs.get()) is not None:
             if isinstance(job, _Job):
                 self._hand(job)
-            else:
-                job()
+            elif problem := _problem(job):
+                self._problems.append(problem)
+
+
+def _problem(job: Callable[[], None]) -> str:
+    """Do a job; returns why it failed, or an empty text. Nothing that it raises ends the thread."""
+    try:
+        job()
+    except BusError as error:
+        return str(error)
+    except BaseException as error:  # a panic of zenoh is no Exception
+        return f"{type(error).__name__}: {error}"
+    return ""

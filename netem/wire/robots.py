@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import json
 import logging
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from threading import current_thread
+from threading import Event, current_thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
@@ -23,6 +23,7 @@ import zenoh
 from netem.errors import BusError
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.outlet import Outlet
+from netem.wire.queues import Inlet
 from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, client_settings, listening, opened, reason
 
 log = logging.getLogger(__name__)
@@ -32,7 +33,6 @@ MOST_TOKENS = 10_000  # of one robot that are mirrored
 MOST_OPEN = 10_000  # queries that wait for an answer
 _ASK_S = 86_400.0  # the asker has a time-out of its own; the result of a ROS 2 action may take long
 _REMOTE = zenoh.Locality.REMOTE
-Put = Callable[[Any], None]
 
 # Robots have gossip, by which the programs of one robot find each other at its router; nothing else leads to others.
 _SETTINGS: dict[str, Any] = (
@@ -42,6 +42,10 @@ _SETTINGS: dict[str, Any] = (
     | {
         "scouting/gossip/enabled": True,
         "transport/unicast/qos/enabled": True,
+        # A long message of a program on this host comes in memory that it shares, as at any router. We share none of
+        # ours: a full /dev/shm would end us.
+        "transport/shared_memory/enabled": True,
+        "transport/shared_memory/transport_optimization/enabled": False,
         "transport/link/tx/lease": 10_000,
         "transport/link/tx/queue/size/data": 16,
         # Connections that never log in; zenoh's own 100 keep new programs out for ten seconds.
@@ -87,12 +91,20 @@ class Token(NamedTuple):
     alive: bool
 
 
-class Placed(NamedTuple):
-    """A message of a topic that says where a robot is."""
+class Checked(NamedTuple):
+    """A robot has been asked whether it has a token, too, that is gone at another one."""
 
-    robot: int
+    gone: Token
+
+
+class Unfit(NamedTuple):
+    """A message that found no room on its way to the relay."""
+
+    kind: str
     key: str
-    payload: bytes
+    size: int
+    to: int | None = None  # its only receiver; None: all neighbours
+    ticket: Ticket | None = None  # of a reply
 
 
 class Linked(NamedTuple):
@@ -126,17 +138,21 @@ def check_key(text: str) -> str:
 
 
 class Robot:
-    """The network of one robot. A thread of zenoh calls `put` with each message that comes."""
+    """The network of one robot. Threads of zenoh put what comes into its inlet."""
 
-    def __init__(self, access: Meeting, carry: Sequence[str], put: Put) -> None:
+    def __init__(self, access: Meeting, carry: Sequence[str], inlet: Inlet) -> None:
         """Open its session. Raises BusError: the address is in use, nobody answers there, or a file is no configuration
         of zenoh.
         """
         self.number, self.name = access.number, access.name
         self.stayed: Counter[str] = Counter()  # by key: what no expression of `carry` includes, although it meets one
         self.matched: set[int] = set()  # the numbers of the expressions of `carry` that something came on
-        self._put = put
+        self.placed: deque[tuple[str, bytes]] = deque(maxlen=1)  # key and message that say last where it is
+        self._inlet, self._put = inlet, inlet.put
         self._session = _opened(access)
+        # The admin space of our router; one of others may have none.
+        self._admin = f"@/{self._session.zid()}/router/" if access.listen else ""
+        self.uncarried: set[str] = set()  # keys of publishers that no expression of `carry` includes
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
@@ -161,7 +177,7 @@ class Robot:
     def watch(self, topic: str) -> None:
         """Listen to the topic that says where the robot is, whether the network carries it or not."""
         for key in (topic, f"*/{topic}/**"):
-            placed = _direct(lambda s: self._put(Placed(self.number, str(s.key_expr), s.payload.to_bytes())))
+            placed = _direct(lambda s: self.placed.append((str(s.key_expr), s.payload.to_bytes())))
             self._held.append(self._session.declare_subscriber(key, placed, allowed_origin=_REMOTE))
 
     @property
@@ -180,14 +196,18 @@ class Robot:
 
     def _heard(self, number: int, sample: Any) -> None:
         if self._takes(number, sample.key_expr):
-            self._put(_Heard(self.number, monotonic_ns(), sample))
+            self._came(sample, len(sample.payload))
 
     def _asked(self, number: int, query: Any) -> None:
         # Of a key that is served it comes a second time, to the queryable of that key.
         if str(query.key_expr) not in self._served and self._takes(number, query.key_expr):
-            self._put(_Heard(self.number, monotonic_ns(), query))
+            self._came(query, len(query.payload or b""))
         else:
             query.drop()
+
+    def _came(self, what: Any, size: int) -> None:
+        item = _Heard(self.number, monotonic_ns(), what)
+        self._inlet.offer(item, size, lambda: Unfit(_kind(what), str(what.key_expr), size))
 
     def _takes(self, number: int, key: Any) -> bool:
         """Whether expression `number` of `carry` passes a message or query on: it is the first one that includes its
@@ -231,6 +251,43 @@ class Robot:
         except zenoh.ZError:
             return False
 
+    def check(self, gone: Token) -> None:
+        """Find out whether a program of this robot has a token, too, that is gone at another one: zenoh does not say so
+        while we show it. A thread of zenoh puts the token, if so, and then `Checked`.
+        """
+        ours, number, put = str(self._session.zid()), self.number, self._put
+
+        def found(reply: Any) -> None:
+            holders = json.loads(reply.ok.payload.to_bytes()) if reply.ok else {}
+            if any(zid != ours for kind in holders.values() for zid in kind):
+                put(Token(number, gone.key, True))
+
+        self._ask_router(f"token/{gone.key}", found, lambda: put(Checked(gone)))
+
+    def look(self) -> Event:
+        """Find out on which keys programs publish that no expression of `carry` includes. Our router lists publishers,
+        so that what they put need not come here. Returns what is set at the end.
+        """
+        ended = Event()
+
+        def found(reply: Any) -> None:
+            key = str(reply.ok.key_expr).removeprefix(f"{self._admin}publisher/") if reply.ok else ""
+            if key and len(self.uncarried) < MOST_TOKENS and self._includes(zenoh.KeyExpr(key)) is None:
+                self.uncarried.add(key)
+
+        self._ask_router("publisher/**", found, ended.set)
+        return ended
+
+    def _ask_router(self, key: str, found: Callable[[Any], None], ended: Callable[[], None]) -> None:
+        """Call `found` with each entry of our router's admin space, and `ended` behind all, on a thread of zenoh."""
+        try:
+            if self._admin:
+                self._session.get(self._admin + key, zenoh.handlers.Callback(found, ended, indirect=False))
+                return
+        except zenoh.ZError as error:
+            log.warning("%s: cannot ask its router for %s: %s", self.name, key, reason(error))
+        ended()
+
     # --- on the thread of its outlet
 
     def mirror(self, token: str) -> None:
@@ -270,7 +327,7 @@ class Robot:
         # in place of the robot's own.
         def asked(query: Any) -> None:
             if str(query.key_expr) == service:
-                self._put(_Heard(self.number, monotonic_ns(), query))
+                self._came(query, len(query.payload or b""))
             else:  # a pattern, which comes to the queryables of `carry`, too
                 query.drop()
 
@@ -278,18 +335,21 @@ class Robot:
 
     def ask(self, ticket: Ticket, payload: bytes) -> None:
         """Put a query of another robot to the programs of this one. Raises BusError: the session cannot send it."""
-        query, number, put = ticket.query, self.number, self._put
+        query, number = ticket.query, self.number
         if query is None:
             return  # it has ended
 
         def replied(reply: Any) -> None:
             if reply.ok is None or self._includes(reply.ok.key_expr) is not None:
-                put(_Replied(number, monotonic_ns(), ticket, reply))
+                size = len((reply.err if reply.ok is None else reply.ok).payload)
+                key = str((query if reply.ok is None else reply.ok).key_expr)
+                item = _Replied(number, monotonic_ns(), ticket, reply)
+                self._inlet.offer(item, size, lambda: Unfit(REPLY, key, size, ticket.asker, ticket))
             else:
                 self._stay(str(reply.ok.key_expr))
 
         def ended() -> None:
-            put(_Replied(number, monotonic_ns(), ticket, None))
+            self._put(_Replied(number, monotonic_ns(), ticket, None))
 
         try:
             self._session.get(
@@ -358,11 +418,17 @@ def read(item: _Heard | _Replied) -> RobotMessage | None:
         return RobotMessage(item.robot, REPLY, key, data, item.at_ns, (item.ticket, item.reply), item.ticket.asker)
     what = item.what
     key = str(what.key_expr)
-    if isinstance(what, zenoh.Query):
+    kind = _kind(what)
+    if kind == QUERY:
         data = b"" if what.payload is None else what.payload.to_bytes()
         return RobotMessage(item.robot, QUERY, key, data, item.at_ns, Ticket(what, item.robot))
-    kind = DELETE if what.kind == zenoh.SampleKind.DELETE else PUT
     return RobotMessage(item.robot, kind, key, what.payload.to_bytes(), item.at_ns, what)
+
+
+def _kind(what: Any) -> str:
+    if isinstance(what, zenoh.Query):
+        return QUERY
+    return DELETE if what.kind == zenoh.SampleKind.DELETE else PUT
 
 
 def ros_key(token: str) -> tuple[str, str] | None:
@@ -393,7 +459,7 @@ def _opened(access: Meeting) -> zenoh.Session:
         raise BusError(f"{access.name}: {access.config} is no configuration of zenoh ({reason(error)})") from None
     settings = dict(_SETTINGS)
     if access.listen:
-        settings |= {"mode": "router", "connect/endpoints": []} | listening([access.listen])
+        settings |= {"mode": "router", "connect/endpoints": [], "adminspace/enabled": True} | listening([access.listen])
         problem = f"{access.name}: cannot listen on {access.listen}"
     else:
         settings |= {"mode": "client", "listen/endpoints": []} | client_settings([access.connect], None, 5000)

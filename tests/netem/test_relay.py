@@ -9,6 +9,7 @@ import pytest
 from any_condition import conditions as any_conditions
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 import netem.relay
 from netem.condition import Condition, Link
@@ -296,6 +297,28 @@ def test_delivered_is_what_was_handed_over(sent: list[tuple[int, str]], in_water
     assert Counter((fate.src, fate.dst) for fate in fates) == Counter(
         {link: packets + copies for link, (packets, copies) in relay.entered.items() if packets}
     )
+
+
+@given(st.lists(st.tuples(st.integers(1, 3), st.booleans(), st.booleans()), max_size=12), st.booleans())
+def test_what_found_no_room_before_the_relay_is_lost_there(sent: list[tuple[int, bool, bool]], in_water: bool) -> None:
+    """In each link that it would have entered, with its size and a number of its own, beside those that came."""
+    relay = water() if in_water else Relay(config(), BEGIN_NS, header=10)
+    expected: Counter[Link] = Counter()
+    for number, (src, fits, reply) in enumerate(sent):
+        one = message(src, b"abc", number * 3000.0, to=2 if reply and src != 2 else None)
+        if fits:
+            relay.take(one)
+            continue
+        relay.refuse(structs.replace(one, payload=b""), 3)
+        expected.update(link for link in LINKS if link[0] == src and (in_water or one.to in (None, link[1])))
+    handed(relay, 10**6)
+    fates = relay.report(10**9) + relay.close(10**10)
+    lost = Cause.QUEUE, 13, "a/b"
+    refused = Counter((fate.src, fate.dst) for fate in fates if (fate.cause, fate.size, fate.key) == lost)
+    assert refused == expected
+    left = Counter((fate.src, fate.dst) for fate in fates)
+    assert left == Counter({link: packets for link, (packets, _) in relay.entered.items() if packets})
+    assert len({(fate.src, fate.dst, fate.seq) for fate in fates}) == len(fates)
 
 
 @pytest.mark.parametrize("held", [False, True])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from multiprocessing import Pipe
 from queue import SimpleQueue
 from threading import Event, Thread
@@ -21,8 +22,10 @@ from netem.config import NetemConfig
 from netem.fault_kinds import Cause
 from netem.relay import DATAGRAM, PUT, Carried, RobotMessage
 from netem.relay_process import Port, RelayProcess, RelayReport, Setup
+from netem.wire import queues
 from netem.wire.outlet import MOST_BYTES, Outlet
-from netem.wire.robots import Meeting, Token
+from netem.wire.queues import Inlet
+from netem.wire.robots import Checked, Meeting, Token, Unfit
 
 LIMIT_S = 60.0
 NAMES = ("talker", "slow", "fast")
@@ -34,13 +37,23 @@ class Robot:
 
     goes = Event()
 
-    def __init__(self, access: Meeting, carry: tuple[str, ...], put: Any) -> None:
+    def __init__(self, access: Meeting, carry: tuple[str, ...], inlet: Inlet) -> None:
         self.number, self.name, self.outlet = access.number, access.name, Outlet()
         self.stayed: Counter[str] = Counter()
         self.matched = {0}
+        self.uncarried: set[str] = set()
         self.routers: list[str] = []
+        self.placed: list[tuple[str, bytes]] = []
         self.taken: list[RobotMessage] = []
         self.shown: set[str] = set()
+        self.seen: list[tuple[str, bool]] = []  # what an observer sees of tokens
+        self.hidden: set[str] = set()  # tokens of its own of which zenoh says nothing, because we show them
+        self.put = inlet.put
+
+    def look(self) -> Event:
+        found = Event()
+        found.set()
+        return found
 
     def begin(self) -> None:
         pass
@@ -52,10 +65,17 @@ class Robot:
         return True
 
     def mirror(self, token: str) -> None:
+        self.seen += [] if token in self.shown else [(token, True)]
         self.shown.add(token)
 
     def withdraw(self, token: str) -> None:
+        self.seen.append((token, False))
         self.shown.discard(token)
+
+    def check(self, gone: Token) -> None:
+        if gone.key in self.hidden:
+            self.put(Token(self.number, gone.key, True))
+        self.put(Checked(gone))
 
     def hand(self, message: RobotMessage, payload: bytes) -> None:
         if self.name == "slow":
@@ -80,13 +100,16 @@ class Served:
         self.thread.start()
 
     def end(self) -> tuple[list[Carried], RelayReport]:
-        """All fates, and the last report."""
+        """All fates, and the last report with the notes of all."""
         self.console.send_bytes(msgspec.msgpack.encode({"op": "close"}))
         fates: list[Carried] = []
+        notes: list[str] = []
         while True:
             report = msgspec.msgpack.decode(self.console.recv_bytes(), type=RelayReport)
             fates += report.fates
+            notes += report.notes
             if report.closing is not None:
+                report.notes = notes
                 return fates, report
 
 
@@ -121,6 +144,39 @@ def test_a_robot_that_takes_nothing_delays_no_other_one() -> None:
     assert report.closing["late"]["count"] == count
 
 
+def test_what_waits_for_a_relay_that_is_behind_is_bounded_and_its_sender_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A flood of one robot takes no room from another one."""
+    monkeypatch.setattr(queues, "MOST_ENTERING", 10)
+    goes, reads = Event(), Event()
+
+    def read(item: Any) -> Any:
+        reads.set()
+        goes.wait(LIMIT_S)
+        return item
+
+    monkeypatch.setattr(relay_process.robots, "read", read)
+    served = Served([(1, 3), (2, 3)])
+    talker, slow = served.process._inlets[1], served.process._inlets[2]
+    for number in range(31):
+        talker.offer(put(1, b"x"), 1, partial(Unfit, PUT, "a/b", 1))
+        if number == 0:
+            assert reads.wait(LIMIT_S)  # and waits with the first one
+    slow.offer(put(2, b"last"), 4, partial(Unfit, PUT, "a/b", 4))
+    goes.set()
+    wait_for(lambda: len(served.robots[3].taken) == 11, LIMIT_S, "what fitted")
+    for _ in range(10):  # there is room again
+        talker.offer(put(1, b"x"), 1, partial(Unfit, PUT, "a/b", 1))
+    wait_for(lambda: len(served.robots[3].taken) == 21, LIMIT_S, "as much again")
+    fates, report = served.end()
+    causes = Counter((fate.src, fate.cause, fate.key, fate.size) for fate in fates)
+    assert causes == {
+        (1, Cause.DELIVERED, "a/b", 1): 20, (1, Cause.QUEUE, "a/b", 1): 21, (2, Cause.DELIVERED, "a/b", 4): 1,
+    }  # fmt: skip
+    assert any(note.startswith("talker: more than") and "21 were lost (queue)" in note for note in report.notes)
+
+
 def test_a_datagram_that_the_system_refuses_or_that_has_no_receiver_is_not_delivered() -> None:
     port, other = Port(1, 0, 3, "127.0.0.1", 9), Port(3, 0, 1, "127.0.0.1", 0)
     served = Served([(1, 3), (3, 1)], (port, other))
@@ -152,3 +208,50 @@ def test_a_token_is_shown_where_a_robot_that_has_it_reaches(events: list[tuple[i
         expected = {key for key, robots in have.items() if any((src, dst) in links for src in robots)}
         assert served.robots[dst].shown == expected
     served.end()
+
+
+@pytest.mark.parametrize("count", [0, 2, 12])
+def test_a_note_names_keys_that_nothing_carries_as_many_as_a_line_holds(count: int) -> None:
+    served = Served([(1, 2)])
+    keys = [f"k/{number:02}" for number in range(count)]
+    served.robots[2].uncarried.update(keys)
+    _, report = served.end()
+    named = ", ".join(map(repr, keys[:10])) + (", ..." if count > 10 else "")
+    note = f"slow: no expression of carry includes {count} keys of publishers ({named})"
+    assert report.notes == ([note] if count else [])
+
+
+@pytest.mark.parametrize("returns", [False, True])
+def test_a_token_that_two_robots_have_stays_when_one_goes(returns: bool) -> None:
+    """Zenoh has not said that the second robot has it, because we showed it there."""
+    served = Served([(1, 2), (1, 3), (2, 3), (2, 1)])
+    Robot.goes.set()
+    served.robots[2].hidden.add("a")
+    served.queue.put(Token(1, "a", True))
+    served.queue.put(Token(1, "a", False))
+    if returns:  # before anybody was asked
+        served.queue.put(Token(1, "a", True))
+    served.queue.put(put(2, b"last"))
+    wait_for(lambda: served.robots[1].taken and served.robots[3].taken, LIMIT_S, "the last")
+    assert served.robots[3].seen == [("a", True)]
+    assert ("a", True) in served.robots[1].seen
+    served.queue.put(Token(2, "a", False))
+    served.queue.put(put(2, b"last"))
+    wait_for(lambda: len(served.robots[3].taken) == 2, LIMIT_S, "the last")
+    assert ("a" in served.robots[3].shown) is returns
+    served.end()
+
+
+def test_what_a_job_raises_is_said_once_and_the_robot_is_still_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(robot: Robot, token: str) -> None:
+        raise ValueError("no such token")
+
+    monkeypatch.setattr(Robot, "mirror", fails)
+    served = Served([(1, 3)])
+    for key in ("a", "b"):
+        served.queue.put(Token(1, key, True))
+    served.queue.put(put(1, b"last"))
+    wait_for(lambda: served.robots[3].taken, LIMIT_S, "the last")
+    fates, report = served.end()
+    assert [fate.cause for fate in fates] == [Cause.DELIVERED]
+    assert report.notes == ["fast: ValueError: no such token"]

@@ -12,18 +12,18 @@ from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
 from fleet.scenario.value_types import Section, mistake
 
-NAME = re.compile(r"(?=.{1,32}$)[A-Za-z][A-Za-z0-9_]*(-[A-Za-z0-9_]+)*", re.ASCII)
+NAME = re.compile(r"(?=.{1,32}$)[A-Za-z][A-Za-z0-9_]*([.-][A-Za-z0-9_]+)*", re.ASCII)
 RESERVED = ("all", "bridge", "every", "halves", "isolate", "majority", "one", "ring")  # words where names stand
 _TOPICS = ("faults", "link", "run", "scene", "snapshot", "transforms", "uuv")  # first words of topics of the log
 _ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/\S+", re.ASCII)
-_TARGET = re.compile(r"([A-Za-z][\w-]{0,31})(?::(?:([^\s:]+):)?(\d{1,5}))?", re.ASCII)
+_TARGET = re.compile(r"([A-Za-z][\w.-]{0,31})(?::(?:([^\s:]+):)?(\d{1,5}))?", re.ASCII)
 
 
 def _name(value: Any) -> Any:
     text = str(value)
     if not NAME.fullmatch(text) or text in RESERVED or text in _TOPICS:
-        hint = "topics of the log begin with this word" if text in _TOPICS else "as in auv1 or auv-1"
-        raise mistake(f"expected a name of letters, digits, _ and -, got {describe_value(value)}", hint=hint)
+        hint = "topics of the log begin with this word" if text in _TOPICS else "as in auv1, auv-1 or auv.1"
+        raise mistake(f"expected a name of letters, digits, _, - and ., got {describe_value(value)}", hint=hint)
     return text
 
 

@@ -12,7 +12,7 @@ from fleet.scenario.schema.nodes import RESERVED
 # Keys whose values are no selectors.
 FREE = ("id", "name", "modem", "site", "preset", "trace", "topic", "mode", "aims", "pick")
 _NUMBERS = re.compile(r"(isolate:\s*)?[\d\s,/<>*-]+", re.ASCII)
-_SELECTOR = re.compile(r"[\w\s,/<>*:-]+", re.ASCII)
+_SELECTOR = re.compile(r"[\w\s,/<>*:.-]+", re.ASCII)
 
 
 def numbered(text: str, names: Sequence[str]) -> str:
@@ -32,10 +32,10 @@ def numbered(text: str, names: Sequence[str]) -> str:
 @cache
 def _word(names: tuple[str, ...]) -> re.Pattern[str]:
     """A name, the longest one that fits, or a word that is none. The - of `a-b` stands between two names, and that of
-    `a-1` belongs to a word.
+    `a-1` belongs to a word, as every dot does.
     """
     longest = sorted(map(re.escape, names), key=len, reverse=True)
-    return re.compile(rf"(?<!\w)(?:{'|'.join(longest)})(?!\w|-\d)|[A-Za-z]\w*(?:-\d\w*)*", re.ASCII)
+    return re.compile(rf"(?<!\w)(?:{'|'.join(longest)})(?![\w.]|-\d)|[A-Za-z]\w*(?:-\d\w*|\.\w+)*", re.ASCII)
 
 
 def numbered_values(value: Any, names: Sequence[str]) -> Any:

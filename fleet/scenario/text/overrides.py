@@ -6,6 +6,7 @@ So an override obeys the rules of the file, and a mistake in one is reported wit
 |---|---|
 | `--set vehicles=N` | scales the scenario (see `scaling`), before the other overrides apply |
 | `--set KEY=VALUE` | one key, such as `network.period`; steps into a list count from 1: `initial.2.surge=0.3 m/s` |
+| `--set 'KEY."NAME".KEY=VALUE'` | a step with dots in it, such as the name of a node: `nodes."auv.1".place=0 0 5 m` |
 | `--set network.links.SELECTOR.WORD=VALUES` | one word of a link's condition, such as `network.links.*.loss=30 %` |
 | `--set network.links.SELECTOR.states.STATE.WORD=VALUES` | one word of the condition of one of its states |
 | `--set network.links.SELECTOR.KEY=VALUE` | a key of states or a trace: `network.links.*.states.bad.mean=2 s` |
@@ -173,7 +174,11 @@ def _numbers(selector: str) -> list[int]:
 
 SET, NET, FAULT = "--set", "--net", "--fault"
 _MAX_STEPS = 10
-_LINK_WORD = re.compile(r"network\.links\.(?P<selector>[^.]+)(?:\.states\.(?P<state>[^.]+))?\.(?P<word>[^.]+)")
+_STEP = re.compile(r'"[^"]+"|[^."]+')
+_PATH = re.compile(rf"(?:{_STEP.pattern})(?:\.(?:{_STEP.pattern}))*")
+_LINK_WORD = re.compile(
+    rf"network\.links\.(?P<selector>{_STEP.pattern})(?:\.states\.(?P<state>[^.]+))?\.(?P<word>[^.]+)"
+)
 _LINK_KEYS = {*LinkSection.model_fields, *LinkStateSection.model_fields}
 
 Step = tuple[str, TextPlace]
@@ -215,7 +220,8 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
             words.append(partial(_with_links if override.option == NET else _with_fault, source))
             continue
         path, equals, _ = override.text.partition("=")
-        if not equals or not all(path.split(".")) or path.count(".") > _MAX_STEPS:
+        steps = _steps(path, source)
+        if not equals or not steps or len(steps) > _MAX_STEPS + 1:
             hint = "write key.path=value, such as network.period=50ms"
             problems.append(TextPlace(source, 1, 1).problem("not an override", hint))
             continue
@@ -230,7 +236,7 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
         if path == "vehicles":
             root = scale(root, root.with_entry("vehicles", TextPlace(source, 1, 1), value))
         else:
-            changes.append(partial(_with_value, _steps(path, source), value))
+            changes.append(partial(_with_value, steps, value))
     for change in (*changes, *words):
         try:
             root = change(root)
@@ -240,11 +246,10 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
 
 
 def _steps(path: str, source: Source) -> list[Step]:
-    steps, column = [], 1
-    for key in path.split("."):
-        steps.append((key, TextPlace(source, 1, column)))
-        column += len(key) + 1
-    return steps
+    """The steps of a path, between dots; one in quotes may have dots in it. Empty: it is no path."""
+    if not _PATH.fullmatch(path):
+        return []
+    return [(found[0].strip('"'), TextPlace(source, 1, found.start() + 1)) for found in _STEP.finditer(path)]
 
 
 def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
@@ -252,8 +257,10 @@ def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
     if len(steps) > 1 and steps[0][0] == "agent" and isinstance(named, Scalar) and isinstance(named.value, str):
         law = Mapping({"law": named}, {"law": named.place}, named.place)  # its name alone is short for this
         root = root.with_entry("agent", root.keys["agent"], law)
-    below_links = [key for key, _ in steps[:2]] == ["network", "links"] and len(steps) > 3
-    changed = _set(root, steps, value, keep=below_links)  # a number of some links does not put them over others
+    path = [key for key, _ in steps]
+    # A number of some links does not put them over others, and a key of a node leaves it its number.
+    keep = path[0] == "nodes" or (path[:2] == ["network", "links"] and len(path) > 3)
+    changed = _set(root, steps, value, keep=keep)
     assert isinstance(changed, Mapping)  # there is at least one step
     return changed
 
@@ -304,7 +311,7 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
     start = TextPlace(source, 1, 1)
     match = _LINK_WORD.fullmatch(source.text.partition("=")[0])
     assert match is not None
-    selector, place = match["selector"], start.shifted(match.start("selector"))
+    selector, place = match["selector"].strip('"'), start.shifted(match.start("selector"))
     root, links = _links(root, start)
     if links is None:
         return root

@@ -17,6 +17,8 @@ from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.node_names import named, numbered
+from fleet.scenario.text.overrides import Override
+from netem.link_states import LinkStates
 
 NODES: dict[str, Any] = {name: {"listen": f"tcp/127.0.0.1:{port}"} for name, port in (("a", 1), ("b", 2), ("shore", 3))}
 
@@ -73,11 +75,54 @@ def test_names_may_have_dashes() -> None:
     assert parse_scenario(found.to_yaml(), "again.yaml") == found
 
 
-_names = st.from_regex(r"[a-c](-?[a-c1-2]){0,3}", fullmatch=True)
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ('nodes."a.1".place=1 2 3 m', (1.0, 2.0, 3.0)),
+        ('nodes."b".place=4 5 6 m', (4.0, 5.0, 6.0)),
+        ("nodes.b.place=4 5 6 m", (4.0, 5.0, 6.0)),
+        ('network.links."a.1<->b".loss=30 %', 0.3),
+        ('network.links."b->a.1".states.bad.loss=30 %', 0.3),
+        ('network.links."b->a.1".states.bad.mean=7 s', 7 * 10**9),
+        ('network.radios."a.1"=rate 10kbit', 10_000),
+        (Override("--net", "a.1->b loss 50%"), 0.5),
+        (Override("--fault", "at 9s for 1s down a.1<->b"), "down a.1<->b"),
+    ],
+)
+def test_names_may_have_dots_which_need_quotes_in_a_path(override: str | Override, expected: object) -> None:
+    nodes = {name: {"listen": f"tcp/127.0.0.1:{port}"} for port, name in enumerate(("a", "a.1", "b"), start=1)}
+    states = {"bad": {"condition": "loss 80%", "mean": "1.5 s"}, "good": {"mean": "9 s"}}
+    links = {"a.1<->b": "delay 1.5s", "b->a.1": {"states": states}}
+    network = {"links": links, "radios": {"a.1": "rate 80kbit"}}
+    graph = {"edges": ["a.1-b", "a->a.1"]}
+    text = yaml.safe_dump({"title": "A stack", "nodes": nodes, "graph": graph, "network": network})
+    found = parse_scenario(text, "stack.yaml", [override])
+    assert parse_scenario(found.to_yaml(), "again.yaml") == found
+    assert set(found.graph.links) == {(1, 2), (2, 3), (3, 2)}
+    bad = found.changing.get((3, 2))
+    assert isinstance(bad, LinkStates)
+    assert expected in (
+        (found.spec.nodes or {})["a.1"].place,
+        (found.spec.nodes or {})["b"].place,
+        found.conditions[2, 3].loss,
+        bad.conditions[0].loss,
+        bad.mean_ns[0],
+        found.netem_config.radios[2].rate_bit_s,
+        *(event.what for event in found.faults.events),
+    )
+
+
+@pytest.mark.parametrize("path", ["", ".", "nodes.", ".nodes", "nodes..a", 'nodes."a', 'nodes."".place', 'nodes."a"b'])
+def test_what_is_no_path_is_told(path: str) -> None:
+    with pytest.raises(ScenarioError, match="not an override"):
+        parse_scenario(yaml.safe_dump({"title": "A stack", "nodes": NODES}), "stack.yaml", [f"{path}=1"])
+
+
+_names = st.from_regex(r"[a-c]([.-]?[a-c1-2]){0,3}", fullmatch=True)
 
 
 @given(st.lists(_names, min_size=2, max_size=6, unique=True), st.data())
-def test_a_selector_of_names_with_dashes_means_what_numbers_do(names: list[str], data: st.DataObject) -> None:
+def test_a_selector_of_names_with_dashes_and_dots_means_what_numbers_do(names: list[str], data: st.DataObject) -> None:
     numbers = data.draw(st.lists(st.integers(1, len(names)), min_size=2, max_size=4))
     joints = data.draw(st.lists(st.sampled_from(["->", "<->", ",", " / ", ", "]), min_size=3, max_size=3))
     text = "".join(f"{{{n}}}{joint}" for n, joint in zip(numbers, [*joints, ""], strict=False)).rstrip("->,/< ")
@@ -133,10 +178,30 @@ def test_without_an_end_it_runs_until_it_is_stopped() -> None:
         ({"nodes": {**NODES, "b": {"listen": "tcp/127.0.0.1:1"}}}, "a has the address tcp/127.0.0.1:1, too"),
         ({"nodes": {**NODES, "b": {"listen": "127.0.0.1:1"}}}, "expected an address of zenoh"),
         *(
-            ({"nodes": {**NODES, name: {"listen": "tcp/127.0.0.1:4"}}}, "expected a name of letters, digits, _ and -")
-            for name in ("1b", "b-", "b--1", "-b", "b.1", "b 1", "all", "link", "run", "faults", "b" * 33)
+            (
+                {"nodes": {**NODES, name: {"listen": "tcp/127.0.0.1:4"}}},
+                "expected a name of letters, digits, _, - and .",
+            )
+            for name in (
+                "1b",
+                "b-",
+                "b--1",
+                "-b",
+                "b.",
+                "b..1",
+                "b.-1",
+                ".b",
+                "b 1",
+                "all",
+                "link",
+                "run",
+                "faults",
+                "b" * 33,
+            )
         ),
         ({"graph": {"edges": ["a-1->b"]}}, "there is no node a-1"),
+        ({"graph": {"edges": ["a.1->b"]}}, "there is no node a.1"),
+        ({"graph": {"edges": ["b->a."]}}, "expected an edge between two nodes"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "e:9100"}}}}, "there is no other node e"),
         ({"nodes": {**NODES, "d": {"udp": {"90000": "a:9100"}}}}, "expected a port from 1 to 65535"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "a"}}}}, "a sends nothing to d"),

@@ -29,11 +29,11 @@ from netem.wire.robots import MOST_TOKENS
 LIMIT_S = 60.0
 TWO = {"auv1": None, "auv2": None}
 CARRY = ["*/fleet/**"]
-EDGES = ["auv1-auv2", "auv2-shore", "asker-answerer", "talker-lossy", "early-far", "near-remote", "guarded-guest"]
+EDGES = ["auv1-auv2", "auv2-shore", "asker.1-answerer", "talker-lossy", "early.1-far", "near-remote", "guarded-guest"]
 LINKS = {
-    "asker<->answerer": "delay 100ms",
+    "asker.1<->answerer": "delay 100ms",
     "talker->lossy": "delay 50ms loss 30%",
-    "early->far": "delay 60s duplicate 50%",
+    "early.1->far": "delay 60s duplicate 50%",
 }
 LOGIN = {"transport/auth/usrpwd/user": "guarded", "transport/auth/usrpwd/password": "secret"}
 WAITS = zenoh.CongestionControl.BLOCK
@@ -113,7 +113,7 @@ def stack(shore: Shore, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
 
 
 def test_a_query_is_two_packets_and_waits_when_one_is_lost(stack: Stack) -> None:
-    with stack.program("asker") as one, stack.program("answerer") as two:
+    with stack.program("asker.1") as one, stack.program("answerer") as two:
         asked: list[bytes] = []
 
         def answer(query: Any) -> None:
@@ -132,7 +132,7 @@ def test_a_query_is_two_packets_and_waits_when_one_is_lost(stack: Stack) -> None
         replies, took = ask(LIMIT_S)
         assert (replies, asked[-1]) == ([b"yes"], b"go")
         assert took >= 0.2
-        stack.fleet("inject", "down answerer->asker")
+        stack.fleet("inject", "down answerer->asker.1")
         wait_for(lambda: not ask(0.5)[0], LIMIT_S, "the fault")
         count = len(asked)
         replies, took = ask(0.5)
@@ -236,12 +236,12 @@ def delays(stack: Stack) -> list[float]:
 @pytest.fixture(scope="module")
 def result(stack: Stack, passed: Passed, delays: list[float]) -> Result:
     """That of the run, whose last messages were still under way."""
-    with stack.program("early") as one:
+    with stack.program("early.1") as one:
         for _ in range(20):
             one.put("early/fleet/b", "go", congestion_control=WAITS)
         # The relay takes messages in their order: when the log has this one, the relay has had the others.
         one.put("early/fleet/last", "go", congestion_control=WAITS)
-        wait_for(lambda: "early/early/fleet/last" in topics(stack.log), LIMIT_S, "the last message")
+        wait_for(lambda: "early.1/early/fleet/last" in topics(stack.log), LIMIT_S, "the last message")
     return stack.end()
 
 
@@ -273,7 +273,7 @@ def test_losses_and_delays_are_those_of_the_file(delays: list[float], result: Re
 
 
 def test_what_is_under_way_at_the_end_is_in_flight(result: Result) -> None:
-    account = result.ledger["early->far"]
+    account = result.ledger["early.1->far"]
     assert account.sent == 21
     assert account.in_flight == 21 + account.duplicated
 

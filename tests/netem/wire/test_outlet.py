@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from threading import Event
 from time import monotonic_ns
 
@@ -69,3 +70,32 @@ def test_what_could_not_be_handed_over_is_not_delivered() -> None:
         ("b", False, ""),
         ("c", True, ""),
     ]
+
+
+class Panic(BaseException):
+    """As that of zenoh, which is no Exception."""
+
+
+@given(st.lists(st.tuples(st.booleans(), st.sampled_from([None, BusError, ValueError, Panic])), max_size=8))
+def test_nothing_that_a_job_raises_ends_the_thread_and_all_is_accounted_for(
+    jobs: list[tuple[bool, type[BaseException] | None]],
+) -> None:
+    outlet, done = Outlet(), Event()
+
+    def does(raises: type[BaseException] | None) -> None:
+        if raises is not None:
+            raise raises("it went wrong")
+
+    for number, (is_message, raises) in enumerate(jobs):
+        job = partial(does, raises)
+        if is_message:
+            assert outlet.offer(number, monotonic_ns(), 1, job)
+        else:
+            outlet.do(job)
+    outlet.do(done.set)
+    assert done.wait(LIMIT_S)
+    said = {None: "", BusError: "it went wrong", ValueError: "ValueError: it went wrong", Panic: "Panic: it went wrong"}
+    messages = [(n, said[raises], raises is None) for n, (is_message, raises) in enumerate(jobs) if is_message]
+    assert [(one.message, one.problem, one.delivered) for one in outlet.outcomes()] == messages
+    assert outlet.problems() == [said[raises] for is_message, raises in jobs if raises and not is_message]
+    outlet.close()

@@ -18,7 +18,8 @@ from waiting import wait_for
 
 from netem.errors import BusError
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
-from netem.wire.robots import Meeting, Robot, Ticket, Token, read
+from netem.wire.queues import Inlet
+from netem.wire.robots import Checked, Meeting, Robot, Ticket, Token, read
 from netem.wire.session import open_session
 
 LIMIT_S = 60.0
@@ -36,7 +37,7 @@ class Net:
     def __init__(self) -> None:
         port = free_port()
         self.queue: SimpleQueue[Any] = SimpleQueue()
-        self.robot = Robot(Meeting(1, "auv1", listen=f"tcp/127.0.0.1:{port}"), CARRY, self.queue.put)
+        self.robot = Robot(Meeting(1, "auv1", listen=f"tcp/127.0.0.1:{port}"), CARRY, Inlet(self.queue.put))
         self.robot.begin()
         self.program = program(port)
 
@@ -170,6 +171,37 @@ def test_a_token_that_two_robots_have_is_still_known_when_one_goes(net: Net) -> 
     wait_for(lambda: net.tokens().get("0/fleet/alive") is False, LIMIT_S, "its end")
 
 
+def test_keys_of_publishers_that_nothing_carries_are_known_without_their_messages(net: Net) -> None:
+    keys = ("0/fleet/x", "0/secret", "0/cam%era/a-b/image", "0/**")
+    publishers = [net.program.declare_publisher(key) for key in keys]
+    expected = {"0/secret", "0/cam%era/a-b/image", "0/**"}
+    wait_for(lambda: net.robot.look().wait(LIMIT_S) and net.robot.uncarried >= expected, LIMIT_S, "the keys")
+    assert net.robot.uncarried == expected
+    for publisher in publishers:
+        publisher.undeclare()
+
+
+def test_a_robot_says_whether_it_has_a_token_that_is_shown_there(net: Net) -> None:
+    gone = Token(2, "0/fleet/both", False)
+
+    def found() -> list[Any]:
+        net.robot.check(gone)
+        items = [net.queue.get(timeout=LIMIT_S)]
+        while items[-1] != Checked(gone):
+            items.append(net.queue.get(timeout=LIMIT_S))
+        return [item for item in items if isinstance(item, Token) and item.key == gone.key]
+
+    net.robot.outlet.do(lambda: net.robot.mirror(gone.key))
+    net.done()
+    assert not found()
+    own = net.program.liveliness().declare_token(gone.key)
+    assert wait_for(found, LIMIT_S, "the robot's own") == [Token(1, gone.key, True)]
+    own.undeclare()
+    wait_for(lambda: not found(), LIMIT_S, "its end")
+    net.robot.outlet.do(lambda: net.robot.withdraw(gone.key))
+    net.done()
+
+
 # --- Unix sockets
 
 
@@ -193,7 +225,7 @@ def test_who_listens_on_a_unix_socket_removes_nothing_of_others(tmp_path: Path, 
         listens(tmp_path / "x")
     meeting = Meeting(1, "auv1", listen=f"unixsock-stream/{tmp_path / 'x'}")
     with pytest.raises(BusError, match="is there already"):
-        Robot(meeting, ["**"], print)
+        Robot(meeting, ["**"], Inlet(print))
     assert sorted((p.name, p.lstat().st_ino) for p in tmp_path.iterdir()) == before
 
 
@@ -218,5 +250,5 @@ def test_a_file_of_zenoh_adds_no_addresses(tmp_path: Path) -> None:
     port = free_port()
     there = open_session("router", {"listen/endpoints": [f"tcp/127.0.0.1:{port}"]})
     with closing(there):
-        Robot(Meeting(1, "a", connect=f"tcp/127.0.0.1:{port}", config=str(file)), ["**"], print).close()
+        Robot(Meeting(1, "a", connect=f"tcp/127.0.0.1:{port}", config=str(file)), ["**"], Inlet(print)).close()
     assert (tmp_path / "thesis").read_text() == "years of work"

@@ -48,8 +48,9 @@ FMU_DESCRIPTION = Limit("modelDescription.xml", 32 << 20, 2_000_000, "elements",
 
 # Measured: 49,120 bytes pass through zenoh's Unix sockets with our settings, 49,152 do not.
 WIRE_MESSAGE = Limit("message between processes of a run", 48_000)
-DATAGRAM = Limit("datagram of a program", 65_535)
+LONGEST_DATAGRAM = Limit("datagram of a program", 65_535)
 LINK_UNDER_WAY = Limit("packets under way in one link of `fleet netem`", 64 << 20, 10_000, "messages in fragments")
+RELAY_WAITING = Limit("messages of one robot that wait for the relay", 64 << 20, 16_384, "messages")
 ROBOT_WAITING = Limit("messages that wait for one robot", 64 << 20, 4096, "messages")
 QUERIES_WAITING = Limit("queries that wait for answers", 64 << 20, 10_000, "queries of one robot")
 TOKENS = Limit("liveliness tokens of one robot", 0, 10_000, "tokens")

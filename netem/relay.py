@@ -21,14 +21,13 @@ from netem.config import NetemConfig
 from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
+from netem.limits import LINK_UNDER_WAY
 from netem.medium import IndependentLinks, MediumRound, Place, make_links
 from netem.network import fate_order
 from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
 
 PUT, DELETE, QUERY, REPLY, DATAGRAM = ("put", "delete", "query", "reply", "datagram")
-MOST_LINK_BYTES = 64 << 20  # under way in a link; a longer packet passes alone
-_MOST_ARRIVING = 10_000  # messages in fragments at a time
 
 
 class Carried(Fate, frozen=True):
@@ -109,7 +108,7 @@ class _Outbox(Transit):
     def _fits(self, packet: PendingPacket) -> bool:
         """Count a packet as under way, or lose it: so much is under way in its link already."""
         link, size = (packet.src, packet.dst), len(packet.payload)
-        if self.sizes[link] and self.sizes[link] + size > MOST_LINK_BYTES:
+        if self.sizes[link] and self.sizes[link] + size > LINK_UNDER_WAY.bytes:
             self.full.add(link)
             self.lose(packet.fate(packet.sent_tick, Cause.QUEUE))
             return False
@@ -332,7 +331,7 @@ class Relay:
         have = self._arrived.setdefault(name, {})
         have[part.part] = data
         if len(have) < part.parts:
-            if len(self._arrived) > _MOST_ARRIVING:
+            if len(self._arrived) > LINK_UNDER_WAY.items:
                 del self._arrived[next(iter(self._arrived))]
             return None
         del self._arrived[name]

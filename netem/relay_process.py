@@ -27,15 +27,14 @@ from netem.config import NetemConfig
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
-from netem.relay import DATAGRAM, MOST_LINK_BYTES, PUT, QUERY, REPLY, Carried, DueMessage, Relay, RobotMessage
+from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, QUERIES_WAITING, RELAY_WAITING, TOKENS
+from netem.relay import DATAGRAM, PUT, QUERY, REPLY, Carried, DueMessage, Relay, RobotMessage
 from netem.wire import robots
-from netem.wire.queues import MOST_ENTERING, MOST_ENTERING_BYTES, Inlet
+from netem.wire.queues import Inlet
 from netem.wire.robots import Meeting, Robot, Ticket, Token, Unfit
 from netem.wire.session import quiet_zenoh
 
-MOST_DATAGRAM = 65_535
 MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
-MOST_WAITING_BYTES = 64 << 20  # of queries that wait for answers
 MOST_NOTES = 1000
 SILENT_NS = 10_000_000_000  # then another program may take the place of the sender of datagrams
 MOST_KEYS = 10  # of a robot that a note names
@@ -246,7 +245,7 @@ class RelayProcess:
         if message.kind == QUERY:
             self._waiting[message.what] = len(message.payload)
             self._waiting_bytes += len(message.payload)
-            while len(self._waiting) > robots.MOST_OPEN or self._waiting_bytes > MOST_WAITING_BYTES:
+            while len(self._waiting) > QUERIES_WAITING.items or self._waiting_bytes > QUERIES_WAITING.bytes:
                 self._end_query(next(iter(self._waiting)))  # who asked has probably given up long ago
         elif message.kind == REPLY:
             ticket = message.what[0]
@@ -370,8 +369,8 @@ class RelayProcess:
         self._leaving.pop(name, None)
         if token.robot in holders:
             return
-        if len(self._tokens) >= robots.MOST_TOKENS:
-            self._note(f"{robot.name}: more than {robots.MOST_TOKENS} liveliness tokens; others do not see the rest")
+        if len(self._tokens) >= TOKENS.items:
+            self._note(f"{robot.name}: more than {TOKENS.items} liveliness tokens; others do not see the rest")
             return
         self._tokens.setdefault(key, holders).add(token.robot)
         for link in links:
@@ -479,10 +478,10 @@ class RelayProcess:
                 lost = f"; {self._untaken[i]} were not taken (receiver)" if self._untaken[i] else ""
                 self._note(f"{name} kept messages waiting for up to {kept_ns / 1e9:.3g} s{lost}")
         for i, count in sorted(self._refused.items()):
-            most = f"more than {MOST_ENTERING} messages or {MOST_ENTERING_BYTES >> 20} MiB waited for the relay"
+            most = f"more than {RELAY_WAITING.items} messages or {RELAY_WAITING.bytes >> 20} MiB waited for the relay"
             self._note(f"{names[i]}: {most}; {count} were lost (queue)")
         for src, dst in sorted(self._relay.full):
-            most = f"more than {MOST_LINK_BYTES >> 20} MiB were under way"
+            most = f"more than {LINK_UNDER_WAY.bytes >> 20} MiB were under way"
             self._note(f"{names[src]}->{names[dst]}: {most}; what did not fit was lost (queue)")
         matched = set[int]()
         for robot in self._robots.values():
@@ -529,7 +528,7 @@ class RelayProcess:
         inlet = self._inlets[port.src]
         with suppress(OSError):  # closed at the end
             while True:
-                payload, sender = listening.recvfrom(MOST_DATAGRAM)
+                payload, sender = listening.recvfrom(LONGEST_DATAGRAM.bytes)
                 name = partial(Unfit, DATAGRAM, f"udp/{port.port}", len(payload), port.dst)
                 inlet.offer(_Datagram(port, monotonic_ns(), payload, sender), len(payload), name)
 

@@ -25,9 +25,9 @@ from agents.config import (
 from agents.localization import payload as located
 from agents.trajectory import Circle, Path, StraightLine
 from netem.fault_kinds import Cause, WorldFaultKind
+from netem.limits import WIRE_MESSAGE
 from netem.wire.access import LEASE_MS
 from netem.wire.messages import PROTOCOL_VERSION, Message, Route, TimedFault, WireRecord, WorldFault
-from netem.wire.session import MAX_BYTES
 from world.config import VehicleParams
 
 # --- slice fields
@@ -36,6 +36,7 @@ from world.config import VehicleParams
 
 Meaning = tuple[str, str, str]  # type, unit, meaning
 
+_MOST = WIRE_MESSAGE.bytes
 _LAWS = "what our agent runs; null for none; of no meaning to yours"
 
 FIELDS: dict[type, dict[str, Meaning]] = {
@@ -293,7 +294,7 @@ Every field is required, and no further ones are allowed, with these exceptions:
 * the last three fields of a `Delivery`, all of them if a modem has measured a range;
 * the last field of a `Fate`, in the same way.
 
-An agent may ignore them. **A message has at most {MAX_BYTES} bytes**: the transport loses longer ones silently.
+An agent may ignore them. **A message has at most {_MOST} bytes**: the transport loses longer ones silently.
 
 Ticks count control periods Ts from the start of the run, and tick k is at time t = k Ts. Round ticks are multiples of
 `round_ticks`. If `nav` has a `clock_ns`, the vehicle's own clock shows another time. Computations from the time (the

@@ -18,11 +18,11 @@ from typing import Any, TypeVar
 import zenoh
 
 from netem.errors import BusError
+from netem.limits import WIRE_MESSAGE
 from netem.wire.access import LEASE_MS, Credentials, Listener, Members, access_control
 from netem.wire.keys import Keys
 from netem.wire.queues import PutQueue, Stamped
 from netem.wire.session import (
-    MAX_BYTES,
     client_settings,
     client_tls,
     listening,
@@ -71,7 +71,7 @@ def _set(descriptor: int) -> None:
 # --- parts: long messages in parts, because the transport carries no long ones
 
 
-PART_BYTES = 32_000  # of a long message; well below `netem.wire.session.MAX_BYTES`
+PART_BYTES = 32_000  # of a long message; well below `netem.wire.session.WIRE_MESSAGE.bytes`
 
 _T = TypeVar("_T")
 
@@ -193,7 +193,7 @@ class Bus:
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
         """A function that puts bytes on `key`, reliably and in order. It blocks while the link is congested, and raises
-        BusError for more than MAX_BYTES bytes, or when the link to the router has ended.
+        BusError for more than WIRE_MESSAGE.bytes bytes, or when the link to the router has ended.
         """
         publisher = self._session.declare_publisher(
             key,
@@ -204,8 +204,8 @@ class Bus:
         self._held.append(publisher)
 
         def put(data: bytes) -> None:
-            if len(data) > MAX_BYTES:
-                raise BusError(f"a message of {len(data)} bytes on {key}: the transport carries {MAX_BYTES}")
+            if len(data) > WIRE_MESSAGE.bytes:
+                raise BusError(f"a message of {len(data)} bytes on {key}: the transport carries {WIRE_MESSAGE.bytes}")
             try:
                 publisher.put(data)
             except zenoh.ZError as error:

@@ -10,9 +10,7 @@ from time import monotonic_ns
 from typing import Any, NamedTuple
 
 from netem.errors import BusError
-
-MOST_MESSAGES = 4096  # that wait for a robot
-MOST_BYTES = 64 << 20  # likewise; a longer message passes alone
+from netem.limits import ROBOT_WAITING
 
 
 class HandOver(NamedTuple):
@@ -49,7 +47,7 @@ class Outlet:
     def offer(self, message: Any, due_ns: int, size: int, hand: Callable[[], None]) -> bool:
         """Let the thread call `hand`, behind all that it has. False: too much is waiting, and this is not taken."""
         waiting, size_waiting = self._offered - self._worked, self._offered_bytes - self._worked_bytes
-        if waiting and (waiting >= MOST_MESSAGES or size_waiting + size > MOST_BYTES):
+        if waiting and (waiting >= ROBOT_WAITING.items or size_waiting + size > ROBOT_WAITING.bytes):
             return False
         self._offered += 1
         self._offered_bytes += size

@@ -9,6 +9,8 @@ from threading import Lock
 from time import monotonic_ns
 from typing import Any
 
+from netem.limits import RELAY_WAITING
+
 
 class PutQueue:
     """The puts on a key expression, in order."""
@@ -53,8 +55,6 @@ class Quota:
         self._taken[key] += 1
 
 
-MOST_ENTERING = 16_384  # messages of a robot that wait for the relay
-MOST_ENTERING_BYTES = 64 << 20  # likewise; a longer message enters alone
 _MOST_KINDS = 1000  # of messages that did not fit, until they are taken
 
 
@@ -73,7 +73,7 @@ class Inlet:
     def offer(self, item: Any, size: int, name: Callable[[], Hashable]) -> None:
         """Put an item of `size` bytes, or count it by its name: too much waits."""
         with self._lock:
-            if self._waiting and (self._waiting >= MOST_ENTERING or self._bytes + size > MOST_ENTERING_BYTES):
+            if self._waiting and (self._waiting >= RELAY_WAITING.items or self._bytes + size > RELAY_WAITING.bytes):
                 what = name() if len(self._unfit) < _MOST_KINDS else None
                 self._unfit[what] += 1
                 return

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import zenoh
 
 from netem.errors import BusError
+from netem.limits import TOKENS
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.outlet import Outlet
 from netem.wire.queues import Inlet
@@ -29,8 +30,6 @@ from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, cli
 log = logging.getLogger(__name__)
 
 ROS_TOKENS = "@ros2_lv"
-MOST_TOKENS = 10_000  # of one robot that are mirrored
-MOST_OPEN = 10_000  # queries that wait for an answer
 _ASK_S = 86_400.0  # the asker has a time-out of its own; the result of a ROS 2 action may take long
 _REMOTE = zenoh.Locality.REMOTE
 
@@ -224,7 +223,7 @@ class Robot:
         return next((number for number, carried in enumerate(self._carry) if carried.includes(key)), None)
 
     def _stay(self, key: str) -> None:
-        self.stayed[key if len(self.stayed) < MOST_TOKENS else ""] += 1
+        self.stayed[key if len(self.stayed) < TOKENS.items else ""] += 1
 
     def _linked(self, event: Any) -> None:
         begins = event.kind == zenoh.SampleKind.PUT
@@ -272,7 +271,7 @@ class Robot:
 
         def found(reply: Any) -> None:
             key = str(reply.ok.key_expr).removeprefix(f"{self._admin}publisher/") if reply.ok else ""
-            if key and len(self.uncarried) < MOST_TOKENS and self._includes(zenoh.KeyExpr(key)) is None:
+            if key and len(self.uncarried) < TOKENS.items and self._includes(zenoh.KeyExpr(key)) is None:
                 self.uncarried.add(key)
 
         self._ask_router("publisher/**", found, ended.set)
@@ -292,7 +291,7 @@ class Robot:
 
     def mirror(self, token: str) -> None:
         """Show a token of another robot, and the service that it stands for, if there is room for it."""
-        if token in self._mirrored or len(self._mirrored) >= MOST_TOKENS:
+        if token in self._mirrored or len(self._mirrored) >= TOKENS.items:
             return
         try:
             self._mirrored[token] = self._session.liveliness().declare_token(token)

@@ -43,7 +43,6 @@ RUNTIME = (
     f"app: (worker_threads: 1, max_blocking_threads: {THREADS}))"
 )
 # The low-latency transport cannot fragment: a longer message vanishes without a word.
-MAX_BYTES = 48_000  # measured: 49,120 pass, 49,152 do not
 PIECE_BYTES = 65_535  # what zenoh sends in one piece, at most
 _TLS = "transport/link/tls"
 

@@ -20,8 +20,8 @@ from queue import Queue
 from threading import Thread
 
 from netem.errors import BusError
+from netem.limits import WIRE_MESSAGE
 from netem.wire.queues import PutQueue
-from netem.wire.session import MAX_BYTES
 
 _NUMBER_BYTES = 20  # of the agent whose end the console hands over
 
@@ -74,7 +74,7 @@ class AgentEnd:
 
     def _received(self, flags: int) -> bytes:
         try:
-            data = self._end.recv(MAX_BYTES, flags)
+            data = self._end.recv(WIRE_MESSAGE.bytes, flags)
         except ConnectionError:
             data = b""
         if not data:
@@ -129,7 +129,7 @@ class Inbound:
             if (known := ends.get(descriptor)) is not None:
                 i, key, end = known
                 try:
-                    data = end.recv(MAX_BYTES, socket.MSG_DONTWAIT)
+                    data = end.recv(WIRE_MESSAGE.bytes, socket.MSG_DONTWAIT)
                 except BlockingIOError:
                     continue
                 except OSError:
@@ -172,8 +172,8 @@ class _Ended(BusError):
 
 
 def _send(end: socket.socket, data: bytes) -> None:
-    if len(data) > MAX_BYTES:
-        raise BusError(f"a message of {len(data)} bytes on the bus of a vehicle: it carries {MAX_BYTES}")
+    if len(data) > WIRE_MESSAGE.bytes:
+        raise BusError(f"a message of {len(data)} bytes on the bus of a vehicle: it carries {WIRE_MESSAGE.bytes}")
     try:
         end.send(data)
     except OSError as error:  # also of one that another thread has just closed

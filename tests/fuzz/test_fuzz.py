@@ -51,6 +51,7 @@ from fleet.scenario.trust import Policy
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.grammar import parse_condition
+from netem.limits import WIRE_MESSAGE
 from netem.main import NetemProcess, RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
@@ -72,7 +73,6 @@ from netem.wire.messages import (
     Transmission,
 )
 from netem.wire.messages import Pace as Begins
-from netem.wire.session import MAX_BYTES
 from netem.wire.shell import Item
 from world.lockstep import Lockstep
 from world.main import RealtimeWorldProcess
@@ -123,7 +123,7 @@ WIRE = st.one_of(st.binary(max_size=60), ANYTHING.map(msgpack.packb), st.sampled
 
 def respond_to(answers: list[bytes]) -> Callable[[bytes], None]:
     def respond(data: bytes) -> None:
-        assert len(data) <= MAX_BYTES, "the answer would never arrive"
+        assert len(data) <= WIRE_MESSAGE.bytes, "the answer would never arrive"
         answers.append(data)
 
     return respond
@@ -434,7 +434,7 @@ def test_every_operation_is_answered(asked: list[dict[str, Any]]) -> None:
     operator = an_operator()
     for number, request in enumerate(asked):
         answer = msgpack.packb(operator.handle(request))
-        assert len(answer) <= MAX_BYTES, "the answer would never arrive"
+        assert len(answer) <= WIRE_MESSAGE.bytes, "the answer would never arrive"
         # As the console does in its loop: the clock must go on being a number of ticks.
         until = operator.clock.until(number, float(number))
         assert 0 <= until <= paper().ticks

@@ -16,6 +16,7 @@ from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.fault_kinds import Cause
 from netem.faults import NetFault
+from netem.limits import LINK_UNDER_WAY
 from netem.modem import AcousticConfig, Modem
 from netem.network import Netem
 from netem.relay import PUT, REPLY, Carried, DueMessage, Relay, RobotMessage
@@ -323,7 +324,7 @@ def test_what_found_no_room_before_the_relay_is_lost_there(sent: list[tuple[int,
 
 @pytest.mark.parametrize("held", [False, True])
 def test_bytes_under_way_in_a_link_are_bounded(held: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(netem.relay, "MOST_LINK_BYTES", 1000)
+    monkeypatch.setattr(netem.relay, "LINK_UNDER_WAY", LINK_UNDER_WAY._replace(bytes=1000))
     faults = [NetFault("f", 0, 2000, "hold", LINKS)] if held else []
     relay = Relay(config(Condition(delay_ns=10**9), 1, *faults), BEGIN_NS)
     for size in (2000, 10, 10):  # the first is alone, and passes

@@ -20,10 +20,11 @@ from waiting import wait_for
 from netem import relay_process
 from netem.config import NetemConfig
 from netem.fault_kinds import Cause
+from netem.limits import RELAY_WAITING, ROBOT_WAITING
 from netem.relay import DATAGRAM, PUT, Carried, RobotMessage
 from netem.relay_process import Port, RelayProcess, RelayReport, Setup
 from netem.wire import queues
-from netem.wire.outlet import MOST_BYTES, Outlet
+from netem.wire.outlet import Outlet
 from netem.wire.queues import Inlet
 from netem.wire.robots import Checked, Meeting, Token, Unfit
 
@@ -128,7 +129,7 @@ def put(src: int, payload: bytes) -> RobotMessage:
 
 def test_a_robot_that_takes_nothing_delays_no_other_one() -> None:
     """It keeps as much waiting as fits, and loses the rest; the result names it, and the host was in time."""
-    count, fit = 100, MOST_BYTES // SIZE
+    count, fit = 100, ROBOT_WAITING.bytes // SIZE
     served = Served([(1, 2), (1, 3)])
     for number in range(count):
         served.queue.put(put(1, bytes([number]) * SIZE))
@@ -148,7 +149,7 @@ def test_what_waits_for_a_relay_that_is_behind_is_bounded_and_its_sender_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A flood of one robot takes no room from another one."""
-    monkeypatch.setattr(queues, "MOST_ENTERING", 10)
+    monkeypatch.setattr(queues, "RELAY_WAITING", RELAY_WAITING._replace(items=10))
     goes, reads = Event(), Event()
 
     def read(item: Any) -> Any:

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from netem.errors import BusError
+from netem.limits import WIRE_MESSAGE
 from netem.main import NetworkProcess
-from netem.wire.session import MAX_BYTES
 from world.process import WorldProcess
 
 
@@ -28,8 +28,8 @@ class Nowhere:
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
         def put(data: bytes) -> None:
-            if len(data) > MAX_BYTES:
-                raise BusError(f"a message of {len(data)} bytes on {key}: the transport carries {MAX_BYTES}")
+            if len(data) > WIRE_MESSAGE.bytes:
+                raise BusError(f"a message of {len(data)} bytes on {key}: the transport carries {WIRE_MESSAGE.bytes}")
             self.put.append((key, data))
 
         return put

@@ -24,7 +24,7 @@ from waiting import wait_for
 from fleet.logs.reader import LogReader
 from fleet.result.file import read_result
 from fleet.result.result import Result
-from netem.wire.robots import MOST_TOKENS
+from netem.limits import TOKENS
 
 LIMIT_S = 60.0
 TWO = {"auv1": None, "auv2": None}
@@ -351,8 +351,8 @@ def test_a_storm_of_tokens_and_a_huge_payload_leave_the_others_alone(tmp_path: P
         with stack.program("auv1") as one, stack.program("auv2") as two:
             samples = Heard(two)
             reaches(one, samples)
-            tokens = [one.liveliness().declare_token(f"t/{n}") for n in range(MOST_TOKENS + 10)]
-            stack.until(f"more than {MOST_TOKENS} liveliness tokens")
+            tokens = [one.liveliness().declare_token(f"t/{n}") for n in range(TOKENS.items + 10)]
+            stack.until(f"more than {TOKENS.items} liveliness tokens")
             one.put("a/b", bytes(50_000_000), congestion_control=WAITS)
             wait_for(lambda: samples, LIMIT_S, "50 MB")
             assert len(samples[0].payload) == 50_000_000

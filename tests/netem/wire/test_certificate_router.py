@@ -16,11 +16,12 @@ import netem.wire.certificate_router as certificate_router
 from fleet.hosts import certificates
 from fleet.processes.children import RunFolder
 from netem.errors import BusError
+from netem.limits import WIRE_MESSAGE
 from netem.wire.access import CONSOLE, NETEM, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.certificate_router import CertificateRouter
 from netem.wire.keys import Keys
-from netem.wire.session import MAX_BYTES, UNIVERSAL, client_settings, client_tls, open_session
+from netem.wire.session import UNIVERSAL, client_settings, client_tls, open_session
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 
@@ -133,7 +134,7 @@ def test_tx_and_cmd_stay_in_order_and_what_is_too_long_stays_out(run: Run) -> No
     run.world.subscribe(KEYS.every(1), lambda key, data: order.append(data) if not key.endswith("nav/1") else None)
     run.until_heard(agent, KEYS.cmd(1), b"ready", by="world")
     wait = zenoh.CongestionControl.BLOCK  # as a run puts: zenoh's default drops a message when the link is congested
-    agent._session.put(KEYS.cmd(1), bytes(MAX_BYTES + 1), congestion_control=wait)
+    agent._session.put(KEYS.cmd(1), bytes(WIRE_MESSAGE.bytes + 1), congestion_control=wait)
     for k in range(200):
         agent._session.put((KEYS.tx if k % 2 else KEYS.cmd)(1), b"%d" % k, congestion_control=wait)
     wait_for(lambda: order and order[-1] == b"199", LIMIT_S)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from waiting import wait_for
 
 from netem.errors import BusError
-from netem.wire.outlet import MOST_BYTES, MOST_MESSAGES, HandOver, Outlet
+from netem.limits import ROBOT_WAITING
+from netem.wire.outlet import HandOver, Outlet
 
 LIMIT_S = 60.0
 
@@ -22,13 +23,16 @@ def all_outcomes(outlet: Outlet, count: int) -> list[HandOver]:
     return found
 
 
-@given(st.lists(st.sampled_from([0, 1, MOST_BYTES // 3, MOST_BYTES, 2 * MOST_BYTES]), max_size=12))
+MOST = ROBOT_WAITING.bytes
+
+
+@given(st.lists(st.sampled_from([0, 1, MOST // 3, MOST, 2 * MOST]), max_size=12))
 def test_what_waits_for_a_stopped_robot_is_bounded_and_comes_in_order(sizes: list[int]) -> None:
     """One message of any size passes, and nothing waits behind it that exceeds the bounds."""
     outlet, goes = Outlet(), Event()
     taken, waiting = [], 0
     for number, size in enumerate(sizes):
-        fits = not taken or waiting + size <= MOST_BYTES
+        fits = not taken or waiting + size <= MOST
         assert outlet.offer(number, monotonic_ns(), size, lambda: goes.wait() and None) is fits
         if fits:
             taken.append(number)
@@ -44,10 +48,10 @@ def test_what_waits_for_a_stopped_robot_is_bounded_and_comes_in_order(sizes: lis
 
 def test_as_many_messages_wait_as_the_bound_says_and_then_there_is_room_again() -> None:
     outlet, goes = Outlet(), Event()
-    offered = [outlet.offer(n, monotonic_ns(), 1, lambda: goes.wait() and None) for n in range(MOST_MESSAGES + 5)]
-    assert offered == [True] * MOST_MESSAGES + [False] * 5
+    offered = [outlet.offer(n, monotonic_ns(), 1, lambda: goes.wait() and None) for n in range(ROBOT_WAITING.items + 5)]
+    assert offered == [True] * ROBOT_WAITING.items + [False] * 5
     goes.set()
-    found = all_outcomes(outlet, MOST_MESSAGES)
+    found = all_outcomes(outlet, ROBOT_WAITING.items)
     # Who waited behind others did so because of the robot: the host was in time.
     assert found[-1].kept_ns >= found[-1].at_ns - found[0].at_ns - found[-1].late_ns
     assert outlet.offer(0, monotonic_ns(), 1, lambda: None)
@@ -74,6 +78,9 @@ def test_what_could_not_be_handed_over_is_not_delivered() -> None:
 
 class Panic(BaseException):
     """As that of zenoh, which is no Exception."""
+
+
+MOST = ROBOT_WAITING.bytes
 
 
 @given(st.lists(st.tuples(st.booleans(), st.sampled_from([None, BusError, ValueError, Panic])), max_size=8))

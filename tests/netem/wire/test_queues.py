@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from netem.limits import RELAY_WAITING
 from netem.wire import queues
 from netem.wire.queues import Inlet, Quota
 
@@ -31,8 +32,7 @@ def test_a_quota_holds_for_each_key_by_itself(most: int, events: list[str]) -> N
 def test_what_enters_is_bounded_in_messages_and_bytes_and_the_rest_is_counted(events: list[Any]) -> None:
     """A message of any size enters alone; whatever does not fit is told once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(queues, "MOST_ENTERING", 4)
-        patch.setattr(queues, "MOST_ENTERING_BYTES", 10)
+        patch.setattr(queues, "RELAY_WAITING", RELAY_WAITING._replace(items=4, bytes=10))
         waiting: list[int] = []
         inlet, lost, told = Inlet(waiting.append), Counter[Any](), Counter[Any]()
         for event in (*events, "unfit"):
@@ -51,7 +51,7 @@ def test_what_enters_is_bounded_in_messages_and_bytes_and_the_rest_is_counted(ev
 
 
 def test_several_threads_that_let_in_exceed_no_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(queues, "MOST_ENTERING", 100)
+    monkeypatch.setattr(queues, "RELAY_WAITING", RELAY_WAITING._replace(items=100))
     came: list[str] = []
     inlet = Inlet(came.append)
     threads = [Thread(target=lambda: [inlet.offer("x", 1, str) for _ in range(200)]) for _ in range(4)]
@@ -65,7 +65,7 @@ def test_several_threads_that_let_in_exceed_no_bound(monkeypatch: pytest.MonkeyP
 
 
 def test_names_of_what_does_not_fit_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(queues, "MOST_ENTERING", 1)
+    monkeypatch.setattr(queues, "RELAY_WAITING", RELAY_WAITING._replace(items=1))
     monkeypatch.setattr(queues, "_MOST_KINDS", 2)
     inlet = Inlet(lambda item: None)
     for number in range(6):

@@ -11,7 +11,7 @@ from threading import Thread
 import pytest
 
 from netem.errors import BusError
-from netem.wire.session import MAX_BYTES
+from netem.limits import WIRE_MESSAGE
 from netem.wire.vehicle_bus import AgentEnd, Ends, Inbound
 
 
@@ -56,9 +56,9 @@ def agent(ends: Ends, i: int = 3) -> AgentEnd:
 
 def test_messages_go_both_ways_whole_and_in_order(ends: Ends, world: Inbound) -> None:
     three, four = agent(ends), agent(ends, 4)
-    three.put(b"a" * MAX_BYTES)
+    three.put(b"a" * WIRE_MESSAGE.bytes)
     three.put(b"b")
-    assert [world.get(), world.get()] == [("cmd/3", b"a" * MAX_BYTES), ("cmd/3", b"b")]
+    assert [world.get(), world.get()] == [("cmd/3", b"a" * WIRE_MESSAGE.bytes), ("cmd/3", b"b")]
     four.put(b"c")
     assert world.get() == ("cmd/4", b"c")
     assert world.put(3, b"d") and world.put(3, b"e") and world.put(4, b"f")
@@ -118,7 +118,7 @@ def test_an_agent_learns_that_the_world_has_ended() -> None:
 
 def test_a_message_that_is_too_long_for_zenoh_is_too_long_here(ends: Ends, world: Inbound) -> None:
     with pytest.raises(BusError):
-        agent(ends).put(bytes(MAX_BYTES + 1))
+        agent(ends).put(bytes(WIRE_MESSAGE.bytes + 1))
 
 
 def test_no_new_life_begins_when_the_world_has_ended(ends: Ends) -> None:
@@ -206,7 +206,7 @@ MANY = 100  # of the longest messages: 4.8 MB, and buffers hold some 200 kB by d
 
 
 def long(n: int) -> bytes:
-    return b"%d" % n + bytes(MAX_BYTES - len(b"%d" % n))
+    return b"%d" % n + bytes(WIRE_MESSAGE.bytes - len(b"%d" % n))
 
 
 def test_an_agent_that_reads_late_is_waited_for_and_loses_nothing(ends: Ends, world: Inbound) -> None:
@@ -248,7 +248,7 @@ def test_an_agent_is_not_told_that_the_world_has_ended_when_its_buffer_is_too_sm
     OPEN.append(end)
     end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SMALL)
     with pytest.raises(BusError) as caught:
-        AgentEnd(end, "nav/3").put(bytes(MAX_BYTES))
+        AgentEnd(end, "nav/3").put(bytes(WIRE_MESSAGE.bytes))
     assert "closed" not in str(caught.value)
 
 
@@ -258,7 +258,7 @@ def test_the_world_does_not_lose_what_its_buffer_cannot_hold_without_a_word(ends
     world.get()
     world._of[3].setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SMALL)
     with pytest.raises(BusError):
-        world.put(3, bytes(MAX_BYTES))
+        world.put(3, bytes(WIRE_MESSAGE.bytes))
 
 
 # --- an end that is replaced -------------------------------------------------

@@ -42,7 +42,7 @@ SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is name
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
 _MOST_CHECKS = 5  # of tokens that go in a round: a router looks through all that it has each time
 _MOST_CHECKED = 200  # tokens; with more of them there is no check
-_LOOK_ROUNDS = 100  # between two looks at the keys of publishers
+_LOOK_ROUNDS = 10  # between two looks at the keys of publishers: shorter than a program usually lives
 _END_S = 1.0  # for the last look
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
@@ -492,7 +492,7 @@ class RelayProcess:
                 self._note(f"{robot.name}: {what} stayed with it")
             if keys := sorted(robot.uncarried):
                 some = ", ".join(map(repr, keys[:MOST_KEYS])) + (", ..." if len(keys) > MOST_KEYS else "")
-                self._note(f"{robot.name}: no expression of carry includes {len(keys)} keys of publishers ({some})")
+                self._note(f"{robot.name}: carry leaves out {len(keys)} of the keys that publishers declare ({some})")
         for number, key in enumerate(self._setup.carry):
             if self._robots and number not in matched and key != "**":
                 self._note(f"carry: nothing came on {key}")

@@ -218,7 +218,7 @@ def test_a_note_names_keys_that_nothing_carries_as_many_as_a_line_holds(count: i
     served.robots[2].uncarried.update(keys)
     _, report = served.end()
     named = ", ".join(map(repr, keys[:10])) + (", ..." if count > 10 else "")
-    note = f"slow: no expression of carry includes {count} keys of publishers ({named})"
+    note = f"slow: carry leaves out {count} of the keys that publishers declare ({named})"
     assert report.notes == ([note] if count else [])
 
 

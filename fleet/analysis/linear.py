@@ -119,6 +119,7 @@ def _motion(flight: Flight, v_d: Vec3, current: Vec3) -> tuple[Step, Array]:
     k = coefficients(flight.truth)
     h = flight.tick_s / flight.substeps
     cascade = Cascade(config, [])
+    law: Any = cascade.tracking  # one of ours: it can give and take its state
     desired = Motion((0.0, 0.0, 0.0), v_d)
 
     def decide(s: Array, Ke: Array) -> Vec3:
@@ -129,16 +130,16 @@ def _motion(flight: Flight, v_d: Vec3, current: Vec3) -> tuple[Step, Array]:
         return clip(cascade.step(sample)[0], low, high)
 
     plant = np.array([0.0, 0.0, 0.0, -atan2(v_d[2], v_d[0]), 0.0, hypot(*v_d), 0.0, 0.0, 0.0, 0.0])
-    decide(plant, np.zeros(3))  # now the memory of the laws has its shape
-    shape = cascade.state()
+    decide(plant, np.zeros(3))  # now the state of the law has its shape
+    shape = law.state()
 
     def step(s: Array, Ke: Array) -> Array:
-        cascade.restore(_filled(shape, iter(s[_PLANT:].tolist())))
+        law.restore(_filled(shape, iter(s[_PLANT:].tolist())))
         tau = decide(s, Ke)
         state = tuple(s[:_PLANT].tolist())
         for _ in range(flight.substeps):
             state = rk4_step(k, state, tau, (_CALM5, _CALM5, _CALM5), h, current)
-        return np.array([*state, *_numbers(cascade.state())])
+        return np.array([*state, *_numbers(law.state())])
 
     return step, np.array([*plant, *_numbers(shape)])
 

@@ -273,6 +273,19 @@ class Run:
         found: list[str] = self._ask(op="heal", id=fault)["healed"]
         return found
 
+    def heal_as(self, scenario: Scenario) -> None:
+        """End all faults at the next tick, and let none begin later: the run goes on as one of `scenario`, which has no
+        other faults than were until now and is the same otherwise, and is judged by its checks.
+        """
+        for kill in self._operator.end_faults():
+            self._runner.spare_agents(kill)
+        self.scenario = scenario
+
+    @property
+    def can_be_copied(self) -> bool:
+        """Whether a copy of this process can go on with the run."""
+        return self._runner.can_be_copied
+
     def to_end(self, progress: Callable[[float], None] | None = None) -> Result:
         """Go on to the end of the run; returns the result.
 

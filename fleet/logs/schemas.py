@@ -23,8 +23,10 @@ from world.signal import Signal
 
 PACKAGE = "uuv_fleet"
 CLOCK = "clock"  # key in metadata `run`, where the run was not in lockstep, and so is not repeatable
-START = "start.msgpack"  # the attachment of a log that holds where its run began, if that went on from another
-FROM, FROM_TICK, ANEW = "from", "from tick", "without memory"  # what the metadata of such a run say of it
+START = "start.json"  # the attachment of a log that holds where its run began, if that went on from another
+OLD_START = "start.msgpack"  # the same of a log with snapshots, as versions before wrote it
+SNAPSHOTS = "snapshot"  # topic of such logs, which nobody reads any more
+FROM, FROM_TICK = "from", "from tick"  # what the metadata of a run say that goes on from another
 DOUBLE = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
 UINT32 = descriptor_pb2.FieldDescriptorProto.TYPE_UINT32
 STRING = descriptor_pb2.FieldDescriptorProto.TYPE_STRING

@@ -15,7 +15,7 @@ from pathlib import Path
 from struct import error as struct_error
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from msgspec import Meta, MsgspecError, Struct, convert, json
 from msgspec import field as entry
 
 from agents.loop import AgentLoop
@@ -26,16 +26,27 @@ from fleet.errors import FleetError
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import named
 from fleet.execution.in_process import in_process
+from fleet.execution.moments import reach
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import Difference, Side, difference, side
 from fleet.logs.mcap_writer import Batch
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
-from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Doubles, MessageField, Schema, signal_columns
+from fleet.logs.schemas import (
+    COMMAND,
+    FROM,
+    OLD_START,
+    PACKET,
+    SNAPSHOTS,
+    START,
+    Doubles,
+    MessageField,
+    Schema,
+    signal_columns,
+)
 from fleet.logs.topic_names import link_of
-from fleet.recorder.snapshot import TOPIC, Snapshot, Start
+from fleet.recorder.start import Leg, Start
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_run import Recorded, recorded
-from fleet.repeat.resume import start_of
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
@@ -47,7 +58,7 @@ from netem.wire.messages import Delivery, Nav
 from world.vectors import ZERO, Vec3
 
 # --- recorded agent: an agent that sends again what an external agent sent in a log, whose law is not available here
-# Its commands, telemetry and memory are recorded. Its transmissions follow from the packets of its links: at least one
+# Its commands and telemetry are recorded. Its transmissions follow from the packets of its links: at least one
 # link has each payload as it was sent, or with a flipped bit that can be turned back.
 
 
@@ -66,12 +77,11 @@ class RecordedAgent:
     commands: dict[int, Vec3] = field(default_factory=dict)
     telemetry: dict[int, list[float]] = field(default_factory=dict)
     payloads: dict[int, list[bytes]] = field(default_factory=dict)
-    memories: dict[int, bytes] = field(default_factory=dict)
     known: float = inf  # what it sent after this tick may be missing
 
     def loop(self, incarnation: int, begin: int) -> AgentLoop:
         core = _RecordedCore(self)
-        return AgentLoop(core, self.round_ticks, incarnation=incarnation, begin=begin, memories=self.memories)
+        return AgentLoop(core, self.round_ticks, incarnation=incarnation, begin=begin)
 
 
 class _RecordedCore:
@@ -90,12 +100,6 @@ class _RecordedCore:
                 raise NotRecordedError(f"the log holds no command of vehicle {agent.vehicle} at tick {tick}")
             tau = ZERO  # of a log that ends within this tick: nothing that follows is compared
         return Decision(tau, tuple(agent.telemetry.get(tick, ())))
-
-    def state(self) -> dict[str, Any]:
-        return {}
-
-    def restore(self, values: dict[str, Any], /) -> None:
-        raise AssertionError("a run with external agents does not go on from a snapshot")
 
     def take_notes(self) -> list[tuple[int, str]]:
         return []
@@ -145,13 +149,12 @@ class _Reading:
         if head == "uuv":
             number, _, group = rest.partition("/")
             self._sample(int(number), group, tick, record.data)
-        elif (link := link_of(record.topic)) is not None:
-            if link[0] in self.agents and (link[0], record.sequence) not in self._sure:
-                self._packet(link, record)
-        elif head == TOPIC:
-            memories = Snapshot.from_bytes(self._message(record, SNAPSHOT).state).memories
-            for i in self.agents.keys() & memories.keys():
-                self.agents[i].memories[tick] = memories[i]
+        elif (
+            (link := link_of(record.topic)) is not None
+            and link[0] in self.agents
+            and (link[0], record.sequence) not in self._sure
+        ):
+            self._packet(link, record)
 
     def _sample(self, i: int, group: str, tick: int, data: bytes) -> None:
         if i in self.agents and group == "command":
@@ -235,21 +238,22 @@ def verify(
     source.insist_on_lockstep("it does not come out the same again")
     if last_ns < 0:
         raise FleetError(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}", status=3)
-    start = start_of(reader)
-    policy = Policy(checks=False, own=ran_from(source.text))
-    scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)
+    start, scenario = start_of(source), as_it_was(source)
     verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     verification.external = scenario.external
-    _compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
-    comparison = _Comparison(verification, scenario, reader, last_ns, tell)
+    compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
+    comparison = Comparison(verification, scenario, reader, last_ns, tell)
     _run_again(comparison, verification, scenario, last_ns, start)
     verification.machine = _machines(path)
     verification.reproduced = verification.difference is None and not verification.contradictions
     return verification
 
 
-def _scenario(source: Recorded, policy: Policy) -> Scenario:
+def as_it_was(source: Recorded) -> Scenario:
     """The scenario to run: the log's if the faults happened as planned, else one with the actual faults."""
+    policy = _policy(source.text)
+    if source.goes_on:
+        return source.script(policy=policy)
     scenario = parse_scenario(source.text, str(source.path), policy=policy)
     happened = [(at_ns, e.fault, e.action, e.what) for at_ns, e in source.events]
     planned = [(e.tick * scenario.tick_ns, e.fault, e.action, e.what) for e in scenario.faults.events]
@@ -261,12 +265,37 @@ def _scenario(source: Recorded, policy: Policy) -> Scenario:
     return source.script(policy=policy)
 
 
+def _policy(text: str) -> Policy:
+    return Policy(checks=False, own=ran_from(text))
+
+
+def start_of(source: Recorded) -> Start | None:
+    """Where the run of a log began, if it went on from another.
+
+    Raises:
+        FleetError: the log does not say that to this version.
+        ScenarioError: what was run before does not run here.
+    """
+    if not source.goes_on:
+        return None
+    run, attached = source.reader.metadata["run"], source.reader.attachments
+    if START not in attached:
+        why = "a snapshot, which this version does not read" if OLD_START in attached else "what the file has lost"
+        raise FleetError(f"{source.path} goes on from {why}; run it anew from {run[FROM]}: fleet run --from")
+    try:
+        legs = convert(json.decode(attached[START]), list[tuple[str, int]])
+    except MsgspecError as error:
+        raise FleetError(f"{source.path}: where its run begins ({START}) is damaged: {error}") from None
+    where = f"{source.path}, {START}"
+    return Start(tuple(Leg(parse_scenario(text, where, policy=_policy(text)), k) for text, k in legs), run[FROM])
+
+
 def _gaps(reader: LogReader) -> list[int]:
     numbers = reader.metadata.get(RECOVERY, {}).get(GAPS, "").split()
     return [int(number) for number in numbers if number.isdecimal()]
 
 
-def _compare_metadata(verification: Verification, recorded: dict[str, str], here: dict[str, str]) -> None:
+def compare_metadata(verification: Verification, recorded: dict[str, str], here: dict[str, str]) -> None:
     for key in [*here, *(key for key in recorded if key not in here)]:
         left, right = recorded.get(key), here.get(key)
         if left == right:
@@ -292,26 +321,26 @@ def _machines(path: Path) -> str:
     )
 
 
-class _Over(Exception):
+class Over(Exception):
     """Everything that was recorded has been compared, or the two differ."""
 
 
-class _Comparison:
+class Comparison:
     """A sink of the log writer that compares each message with the recorded one, and writes nothing."""
 
     def __init__(
         self, verification: Verification, scenario: Scenario, reader: LogReader, last_ns: int, tell: Tell
     ) -> None:
-        self._verification, self._tell = verification, tell
+        self.verification, self._tell = verification, tell
         self._tick_ns, self._last_ns = scenario.tick_ns, last_ns
         self._first = reader
         self._complete = not reader.missing and last_ns == scenario.ticks * scenario.tick_ns
         self.external = recorded_agents(LogReader(verification.path), scenario, last_ns, whole=self._complete)
         self._again = LogReader(verification.path)
         self._recorded: Iterator[Record] = iter(self._again)
-        self._expected = next(self._recorded, None)
         self._gaps = deque(_gaps(reader))
-        self._number = 0  # of the recorded message at hand
+        self._number = -1  # of the recorded message at hand
+        self._expected = self._next()
         self._topics: list[str] = []
         self._reported_ns = 0
 
@@ -319,7 +348,7 @@ class _Comparison:
         """Nothing to compare: the attachments of the log are what is run again."""
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Nothing to compare: `_compare_metadata` has done so."""
+        """Nothing to compare: `compare_metadata` has done so."""
 
     def channel(self, topic: str, schema: Schema) -> int:
         self._topics.append(topic)
@@ -329,21 +358,29 @@ class _Comparison:
         here = Record(self._topics[channel], log_ns, publish_ns, sequence, data)
         expected = self._expected
         if expected is None and not self._complete:
-            raise _Over
+            raise Over
         if expected != here:
             if self._gaps and self._number >= self._gaps[0] and expected is not None and expected[:4] != here[:4]:
-                self._verification.skipped += 1
+                self.verification.skipped += 1
                 return
             self._differ(here)
             self._forgive(log_ns if expected is None else min(log_ns, expected.log_ns))
-            raise _Over
+            raise Over
         while self._gaps and self._gaps[0] <= self._number:
             self._gaps.popleft()
-        self._verification.messages += 1
-        self._number += 1
-        self._expected = next(self._recorded, None)
+        self.verification.messages += 1
+        self._expected = self._next()
         if self._expected is None and not self._complete:
-            raise _Over
+            raise Over
+
+    def _next(self) -> Record | None:
+        """The next recorded message, without the snapshots of older versions."""
+        for record in self._recorded:
+            self._number += 1
+            if record.topic != SNAPSHOTS:
+                return record
+        self._number += 1
+        return None
 
     def batch(self, batch: Batch) -> None:
         for message in batch.messages():
@@ -356,7 +393,7 @@ class _Comparison:
 
     def finish(self) -> None:
         """The run has ended: a recorded message that did not come again is a difference."""
-        verification = self._verification
+        verification = self.verification
         if verification.difference is None and self._expected is not None and not verification.unknown:
             self._differ(None)
 
@@ -364,9 +401,9 @@ class _Comparison:
         """A difference means nothing when what an external agent had sent by then is not in the log."""
         for i, agent in self.external.items():
             if at_ns > agent.known * self._tick_ns:
-                self._verification.difference = None
+                self.verification.difference = None
                 since = agent.known * self._tick_ns / 1e9
-                self._verification.unknown = (
+                self.verification.unknown = (
                     f"what vehicle {i} sent after t = {since:g} s was under way when the log ended, and is not in it"
                 )
 
@@ -376,12 +413,12 @@ class _Comparison:
             # By the log's own declarations, which it has of every topic that it shares with the re-run.
             right = Side("re-run", here, Decoder(self._first)(here), self._tick_ns)
         else:
-            right = Side("re-run", None, [], self._tick_ns, self._verification.reason)
-        self._verification.difference = difference(self._number, recorded, right)
+            right = Side("re-run", None, [], self._tick_ns, self.verification.reason)
+        self.verification.difference = difference(self._number, recorded, right)
 
 
 def _run_again(
-    comparison: _Comparison, verification: Verification, scenario: Scenario, last_ns: int, start: Start | None
+    comparison: Comparison, verification: Verification, scenario: Scenario, last_ns: int, start: Start | None
 ) -> None:
     tick = last_ns // scenario.tick_ns
     # No further than the recording went: it may have ended because the next tick cannot be computed.
@@ -389,19 +426,22 @@ def _run_again(
     until = min(scenario.ticks, max(-(-tick // every) * every, -(-tick // m) * m) + 1)
     policy = GrantPolicy(until, scenario.tick_ns, m, every)
     agents = {i: agent.loop for i, agent in comparison.external.items()}
-    runner = in_process(scenario, LogWriter(comparison, scenario, start), start=start, agents=agents, judged=False)
+    moment = None if start is None else reach(start)
+    before, links = (None, None) if moment is None else moment
+    writer = LogWriter(comparison, scenario, start, links=links)
+    runner = in_process(scenario, writer, before, agents=agents, judged=False)
     journal, seen = runner.journal, -2
 
     def moved() -> None:
         nonlocal seen
         if until < scenario.ticks and journal.written == seen:  # every grant is used up
-            raise _Over
+            raise Over
         seen = journal.written
 
     try:
         if (broken := runner.to_end(moved, policy)) is not None:
             verification.reason = broken.reason
-    except _Over:
+    except Over:
         pass
     except NotRecordedError as error:
         verification.unknown = str(error)

@@ -111,17 +111,6 @@ def test_a_leader_that_was_never_heard_is_silent_from_the_first_sample_on() -> N
     assert sample(agent, 151, None)[1] == pytest.approx(3.0)
 
 
-def test_standby_step_state_restore_step() -> None:
-    agent, scenario = standby_agent()
-    sample(agent, 0, None)
-    sample(agent, 40, None)
-    other = Agent(scenario.agent_config(2))
-    other.restore(msgpack.unpackb(msgpack.packb(agent.state())))
-    led = [sample(a, 51, None)[1] for a in (agent, other)]
-    assert led == pytest.approx([3.0, 3.0])
-    assert agent.state() == other.state()
-
-
 def test_a_run_goes_on_from_its_log(tmp_path: Path) -> None:
     whole = execute(load_scenario("leader-lost-standby", SHORT), Options(tmp_path, in_process=True, quiet=True))
     scenario, start = continuation(whole.directory, 1_500_000_000)

@@ -313,7 +313,7 @@ def test_no_neighbour_crashes_an_agent(controller: str, heard: list[tuple[int, b
     """An agent answers every nav with a finite command, whatever its neighbours say of themselves."""
     scenario = paper(f"controller={controller}", "network.payload=full")
     config = scenario.agent_config(2)
-    loop = AgentLoop(make_agent(config), config.round_ticks, incarnation=0, begin=0, memory_ticks=0)
+    loop = AgentLoop(make_agent(config), config.round_ticks, incarnation=0, begin=0)
     m, ticks = config.round_ticks, 25
     sender = scenario.agent_config(2).neighbours[0].id
     eta, nu = scenario.initial[1]

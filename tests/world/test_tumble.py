@@ -136,17 +136,6 @@ def test_a_run_that_goes_on_while_a_vehicle_is_tumbled_knows_it(tmp_path: Path) 
     assert not next(v for v in rest.checks if v.check == "tumbled").passed
 
 
-def test_a_vehicle_that_an_older_version_gave_up_goes_on(tmp_path: Path) -> None:
-    """Snapshots of older logs say so with a plain yes."""
-    short = ["duration=1 s", "log.snapshot=500 ms", CALM]
-    whole = run(tmp_path, "paper", *short)
-    scenario, start = continuation(whole.directory, 500_000_000)
-    start.snapshot.world["vehicles"][2][4] = True
-    rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
-    assert rest.status is Status.PASS, rest.reason
-    assert rest.values["vehicles"]["3"]["e_final_m"] == whole.values["vehicles"]["3"]["e_final_m"]
-
-
 def test_a_run_that_is_meant_to_fail(tmp_path: Path) -> None:
     """`expect: fail` turns the exit status round; what our own processes do must pass all the same."""
     short = ["duration=1 s", "log.every=10 ticks", "expect=fail"]

@@ -220,9 +220,9 @@ class InProcess:
         self.rounds.take_over(before.rounds)
         state = self._world.state
         self.journal.take_over(tick, before.journal, state.diverged, state.tumbling)
-        for i, known in before._loops.items():
+        for i in self.world.ids:
             loop = self._loops[i] = self._born(i, state.lives.incarnation(i, tick), tick)
-            if not before._world.state.without_agent(i):  # else it was gone there, and may be there now
+            if (known := before.life(i)) is not None:  # else it was gone there, and may be there now
                 loop.take_over(known, anew=set_up_otherwise(self.scenario, before.scenario, i))
 
     @property
@@ -230,9 +230,10 @@ class InProcess:
         """Whether a copy of this process can go on with the run: no plant holds a process, or the like."""
         return not self.world.holds
 
-    def loop(self, i: int) -> AgentLife | None:
-        """The present life of agent i; None: it is gone."""
-        return None if self._world.state.without_agent(i) else self._loops[i]
+    def life(self, i: int) -> AgentLife | None:
+        """The present life of agent i; None: it is gone, or begins with the next tick."""
+        state, loop = self._world.state, self._loops[i]
+        return None if state.without_agent(i) or state.incarnation(i) != loop.incarnation else loop
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLife:
         if i in self._other_agents:

@@ -78,7 +78,6 @@ FAULT = (
     MessageField("action", "", "begins or ends", type=STRING),
     MessageField("what", "", "in the words of a scenario", type=STRING),
 )
-SNAPSHOT = (MessageField("state", "", "all that determines the rest of the run, as MessagePack", type=BYTES),)
 PACKET = (
     MessageField("seq", "1", "number of the payload on this directed link", type=UINT32),
     MessageField("copy", "1", "0 for the original, 1.. for duplicates", type=UINT32),
@@ -105,7 +104,7 @@ CARRIED = (
 )
 # By name, the schemas that every log of a run may have.
 _OURS = {"State": STATE, "StateWithRoll": STATE + ROLL, "Command": COMMAND, "Error": ERROR, "Clock": CLOCK_ERROR}
-_OURS |= {"Belief": BELIEF, "Fix": FIX, "Located": LOCATED, "Fault": FAULT, "Snapshot": SNAPSHOT}
+_OURS |= {"Belief": BELIEF, "Fix": FIX, "Located": LOCATED, "Fault": FAULT}
 _OURS |= {"Packet": PACKET, "RangedPacket": RANGED, "CarriedPacket": CARRIED}
 OURS = {f"{PACKAGE}.{name}": columns for name, columns in _OURS.items()}
 

@@ -181,17 +181,17 @@ class _OtherAgent:
         self._notes: list[str] = []
         first, deliveries = given.navs[0][0], given.deliveries
         self._first: AgentCore | None = None  # with which its first life begins; None: with a new one
-        if before is not None and (known := before.loop(agent)) is not None and first == before.granted:
+        if before is not None and (known := before.life(agent)) is not None and first == before.granted:
             # It waits for what was on the way, which is in the log, too, beside what it had heard.
             heard = [delivery for delivery in deliveries if delivery.due_tick >= first]
             # What it has is stamped by the senders' clocks, what is in the log by simulated time.
             due_later = {(d.due_tick, d.src, d.seq, d.copy): d for d in [*known.waiting, *heard]}
             deliveries = sorted(due_later.values(), key=astuple)
-            if not set_up_otherwise(scenario, before.scenario, agent):
-                self._first = known.core
-            elif set_up_otherwise(scenario, recorded, agent):
+            if set_up_otherwise(scenario, recorded, agent):
                 at = f"t = {first * scenario.tick_ns / 1e9:g} s"
                 self._notes.append(f"the log begins at {at}; the other agent has no memory then")
+            elif not set_up_otherwise(recorded, before.scenario, agent):
+                self._first = known.core
         self._waiting = deque(deliveries)
         if agent in recorded.external:
             self._notes.append(

@@ -22,7 +22,7 @@ from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Delivery, Nav
 
-SHORT = ["duration=3 s", "checks={}", "log.snapshot=500 ms", "log.every=10 ticks"]
+SHORT = ["duration=3 s", "checks={}", "log.every=10 ticks"]
 
 
 number = st.floats(-50.0, 50.0)

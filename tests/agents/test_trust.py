@@ -421,7 +421,7 @@ def test_the_log_of_a_run_of_mine_is_mine(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     for arguments in RUNNING:
-        found = invoke(*(log if argument == "LOG" else argument for argument in arguments))
+        found = invoke(*(argument.replace("LOG", log) for argument in arguments))
         assert found.exit_code == 0, found.output
     assert "no check failed" in " ".join(invoke("why", log).stderr.split())
     (tmp_path / f"{name}.mark").unlink()

@@ -47,7 +47,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Result:
     folder = with_units(tmp_path_factory.mktemp("units"))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        return recorded(folder / "runs", "units.yaml", "log.snapshot=500 ms")
+        return recorded(folder / "runs", "units.yaml")
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ run = partial(recorded, Path("runs"), "units.yaml")
 
 
 def test_a_fleet_of_units_gives_the_same_bytes_alone_and_distributed(whole: Result, there: Path) -> None:
-    distributed = run("log.snapshot=500 ms", in_process=False)
+    distributed = run(in_process=False)
     assert (whole.status, distributed.status) == (Status.PASS, Status.PASS)
     assert digest(there / "run.mcap") == digest(distributed.directory / "run.mcap")
     log = open_log(there)
@@ -96,7 +96,7 @@ def test_a_run_goes_on_from_its_log_bit_for_bit(there: Path) -> None:
 @pytest.mark.slow
 def test_a_run_whose_unit_cannot_save_its_state_is_not_resumed(folder: Path) -> None:
     build(folder / "two.fmu", 2, description(2, saves=False))
-    whole = run("log.snapshot=500 ms", "per_vehicle={}")
+    whole = run("per_vehicle={}")
     status, said = call("run", "--from", f"{whole.directory}@0.5s", "--in-process", "--trust")
     assert status != 0
     assert "two.fmu cannot save its state" in said
@@ -117,7 +117,7 @@ def test_a_unit_that_hangs_ends_its_vehicle_and_nothing_else(folder: Path) -> No
 @pytest.mark.slow
 def test_snapshots_go_on_after_a_unit_crashed_and_a_run_goes_on_from_them(folder: Path) -> None:
     plant = 'vehicle={plant: {name: "fmu:two.fmu", parameters: {start: {crash_at: 0.5}}}}'
-    _, said = call("run", "units.yaml", "--set", plant, "--set", "log.snapshot=200 ms", "--in-process", "--out", "runs")
+    _, said = call("run", "units.yaml", "--set", plant, "--set", "--in-process", "--out", "runs")
     assert "tick 50) vehicle 1: error: two.fmu ended its process by signal 6" in said
     log = open_log(Path("runs/latest"))
     assert log["uuv/2/state"].t[-1] == pytest.approx(1.0)

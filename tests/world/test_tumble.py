@@ -124,7 +124,7 @@ def test_tumbles_can_be_waived_limited_and_asked_of_some(tmp_path: Path) -> None
 
 
 def test_a_run_that_goes_on_while_a_vehicle_is_tumbled_knows_it(tmp_path: Path) -> None:
-    long = ["duration=4 s", "faults=[{at: 500 ms, kill: 3}]", "log.snapshot=500 ms", CALM]
+    long = ["duration=4 s", "faults=[{at: 500 ms, kill: 3}]", CALM]
     whole = run(tmp_path, "paper", *long)
     spell = whole.values["tumbles"][0]
     at_ns = round((spell["from_s"] + 0.6) * 1e9)

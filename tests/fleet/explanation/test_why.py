@@ -95,7 +95,7 @@ def test_a_partition(tmp_path: Path) -> None:
 
 def test_a_run_that_goes_on_from_another_with_another_controller(tmp_path: Path) -> None:
     check = "checks={formation_error: {below: 50 m, after: 2 s}}"
-    first = recorded(tmp_path, "rough-sea", "duration=3 s", "log.snapshot=1 s", check)
+    first = recorded(tmp_path, "rough-sea", "duration=3 s", check)
     scenario, start = continuation(first, 1_000_000_000, ["controller=boc", "checks.formation_error.below=1 cm"])
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
     assert result.directory is not None
@@ -325,7 +325,7 @@ def test_what_cannot_be_explained(small_log: Path, tmp_path: Path) -> None:
 
 def test_a_log_without_snapshots(small_log: Path, why: Why, tmp_path: Path) -> None:
     """The run that is made again has some."""
-    bare = recorded(tmp_path / "bare", str(small_log / "scenario.yaml"), "log.snapshot=0 s")
+    bare = recorded(tmp_path / "bare", str(small_log / "scenario.yaml"))
     assert explained(bare).no_return == why.no_return
 
 

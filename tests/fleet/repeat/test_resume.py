@@ -1,14 +1,11 @@
-"""A run goes on from a snapshot in its log: the rest is the same to the last bit, or changed where it is asked for."""
+"""A run goes on from a moment of its log: the rest is the same to the last bit, or changed where it is asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-import msgpack
 import numpy as np
 import pytest
-from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
 from in_process_runs import Alone
@@ -27,13 +24,14 @@ from fleet.logs.reader import LogReader, Record
 from fleet.pictures.axes import over_time
 from fleet.pictures.exchange import peak_ages
 from fleet.pictures.runs import View, load
-from fleet.recorder.snapshot import Snapshot, Start, find
+from fleet.recorder.start import Start
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import continuation, parse_from
 from fleet.repeat.verify import verification_lines, verify
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.log_rates import moment_grid
 from fleet.scenario.text.overrides import FAULT, NET, Override
 from fleet.view.log_feed import LogFeed
 
@@ -67,7 +65,7 @@ def since(directory: Path, ns: int) -> list[Record]:
     return [record for record in LogReader(directory / "run.mcap") if record.log_ns >= ns]
 
 
-@pytest.mark.parametrize("part", [0.5, *slow(0.0, 1.0)])
+@pytest.mark.parametrize("part", [0.47, *slow(0.0, 1.0)])
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [
@@ -78,7 +76,7 @@ def since(directory: Path, ns: int) -> list[Record]:
             (
                 "acoustic-s2c",
                 [
-                    *("duration=20 s", "log.snapshot=10 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"),
+                    *("duration=20 s", "faults=[{at: 8 s, for: 6 s, kill: 2}]"),
                     "network.acoustic.ranging=two-way",
                 ],
             )
@@ -88,7 +86,7 @@ def since(directory: Path, ns: int) -> list[Record]:
             "dead-reckoning",
             ["duration=2 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
         ),
-        ("locate-consistent", ["duration=9 s", "log.snapshot=3 s", *DYING]),
+        ("locate-consistent", ["duration=9 s", *DYING]),
         *slow(
             ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
             ("helix", ["duration=2 s", "sensors.position_noise=5 cm"]),
@@ -126,14 +124,15 @@ def since(directory: Path, ns: int) -> list[Record]:
 def test_the_rest_is_the_same_to_the_last_bit(
     recorded: Alone, name: str, overrides: list[str], part: float, tmp_path: Path
 ) -> None:
-    """From a snapshot after this part of them."""
-    first = recorded(name, "log.snapshot=500 ms", *overrides)
-    snapshots = [r.log_ns for r in LogReader(first.directory / "run.mcap") if r.topic == "snapshot"]
-    assert snapshots
-    at, last = snapshots[min(int(part * len(snapshots)), len(snapshots) - 1)], snapshots[-1]
+    """From a round after this part of them, also while an agent is suspended."""
+    first = recorded(name, *overrides)
+    whole = load_scenario(name, overrides)
+    grid = moment_grid(whole.spec)
+    rounds = range(grid, whole.ticks, grid)
+    at, last = (whole.tick_ns * rounds[min(int(k * len(rounds)), len(rounds) - 1)] for k in (part, 1.0))
     scenario, start = continuation(first.directory, at)
     again = run(scenario, tmp_path, start)
-    assert start.snapshot.tick * scenario.tick_ns == at
+    assert start.tick * scenario.tick_ns == at
     assert since(again.directory, at) == since(first.directory, at)
     assert again.values["ledger"] == first.values["ledger"]
     # A log of the rest is a log like any other.
@@ -147,11 +146,11 @@ def test_the_rest_is_the_same_to_the_last_bit(
 
 
 def test_a_change_acts_from_there_on(recorded: Alone, tmp_path: Path) -> None:
-    first = recorded("paper", "duration=2 s", "log.snapshot=500 ms")
-    scenario, start = continuation(first.directory, 1_200_000_000, ["faults=[{at: 1.5 s, mute: 1}]", "duration=3 s"])
-    assert start.notes[0].endswith("its last snapshot before 1.2 s")
+    first = recorded("paper", "duration=2 s")
+    scenario, start = continuation(first.directory, 1_220_000_000, ["faults=[{at: 1.5 s, mute: 1}]", "duration=3 s"])
+    assert start.notes[0].endswith("run.mcap, the last round with a frame before 1.22 s")
     again = run(scenario, tmp_path, start)
-    at, mute = 1_000_000_000, 1_500_000_000
+    at, mute = 1_200_000_000, 1_500_000_000
     before = [r for r in since(again.directory, at) if r.log_ns < mute]
     assert before == [r for r in since(first.directory, at) if r.log_ns < mute]
     assert again.values["ledger"]["1->2"]["lost"] == {"mute": 15}
@@ -161,7 +160,7 @@ def test_a_change_acts_from_there_on(recorded: Alone, tmp_path: Path) -> None:
 def test_pictures_of_it_begin_where_it_begins(recorded: Alone, tmp_path: Path) -> None:
     """Ages had grown from 0, where the log has nothing; a link that is silent at first has none until it delivers."""
     cut = "faults=[{at: 500 ms, for: 1 s, down: 1->2}]"
-    first = recorded("paper", "duration=2 s", "log.snapshot=1 s", cut)
+    first = recorded("paper", "duration=2 s", cut)
     scenario, start = continuation(first.directory, 1_000_000_000)
     again = run(scenario, tmp_path / "again", start)
     (drawn,) = load([again.directory])
@@ -177,22 +176,21 @@ def test_pictures_of_it_begin_where_it_begins(recorded: Alone, tmp_path: Path) -
 
 
 def test_a_fault_and_links_in_words_act_from_there_on(recorded: Alone, tmp_path: Path) -> None:
-    first = recorded("paper", "duration=1 s", "log.snapshot=500 ms")
+    first = recorded("paper", "duration=1 s")
     mute, down = Override(FAULT, "at 700 ms for 100 ms mute 1"), Override(NET, "3->4 down")
-    scenario, start = continuation(first.directory, None, [mute, down])
+    scenario, start = continuation(first.directory, 500_000_000, [mute, down])
     again = run(scenario, tmp_path, start)
     assert again.values["ledger"]["1->2"]["lost"] == {"mute": 1}
     assert again.values["ledger"]["3->4"]["lost"]["down"] == 5
     assert verify(again.directory).reproduced
     early = Override(FAULT, "at 100 ms for 900 ms mute 1")
     with pytest.raises(FleetError, match="--fault at 100 ms for 900 ms mute 1: it begins before t = 500 ms"):
-        continuation(first.directory, None, [early])
+        continuation(first.directory, 500_000_000, [early])
 
 
 def test_an_agent_with_another_law_begins_without_memory(recorded: Alone, tmp_path: Path) -> None:
-    first = recorded("paper", "duration=1 s", "log.snapshot=500 ms")
-    scenario, start = continuation(first.directory, None, ["per_vehicle={'3': {controller: bsmc}}"])
-    assert start.anew == (3,)
+    first = recorded("paper", "duration=1 s")
+    scenario, start = continuation(first.directory, 500_000_000, ["per_vehicle={'3': {controller: bsmc}}"])
     assert "agents 3 begin without memory" in start.notes[1]
     again = run(scenario, tmp_path, start)
     before, after = (
@@ -200,54 +198,18 @@ def test_an_agent_with_another_law_begins_without_memory(recorded: Alone, tmp_pa
         for d in (first.directory, again.directory)
     )
     changed = {topic for topic in before if before[topic] != after.get(topic)}
-    assert changed == {"uuv/3/command", "uuv/3/guidance", "uuv/3/control", "snapshot"}
+    assert changed == {"uuv/3/command", "uuv/3/guidance", "uuv/3/control"}
 
 
-def test_a_snapshot_is_plain_values(recorded: Alone, tmp_path: Path) -> None:
-    first = recorded("paper", "duration=1 s", "log.snapshot=500 ms")
-    snapshot = find(first.directory)
-    assert Snapshot.from_bytes(snapshot.to_bytes()) == snapshot
-    assert set(snapshot.memories) == {1, 2, 3, 4}
-    with pytest.raises(FleetError, match="is of format 7, this version reads up to 2"):
-        Snapshot.from_bytes(msgpack.packb([7]))
-    with pytest.raises(FleetError, match="cannot be read"):
-        Snapshot.from_bytes(b"\xc1")
-
-
-def test_a_damaged_snapshot_is_refused() -> None:
-    data = Snapshot(3, {"vehicles": [{"surge": 1.0}]}, {}, [[1, 2, 0]]).to_bytes()
-    for bit in range(len(data) * 8):
-        damaged = bytearray(data)
-        damaged[bit // 8] ^= 1 << bit % 8
-        with pytest.raises(FleetError):
-            Snapshot.from_bytes(damaged)
-
-
-def test_a_snapshot_of_an_earlier_version_is_read() -> None:
-    assert Snapshot.from_bytes(msgpack.packb([1, 3, {}, {}, [], []])) == Snapshot(3, {}, {}, [], [])
-
-
-def test_when_there_is_one() -> None:
-    assert small("network.period=50 ms").memory_ticks == 1000
-    assert small("network.period=70 ms").memory_ticks == 1001  # a round, and at least 10 s
-    assert small("log.every=3 ticks", "network.period=50 ms").memory_ticks == 1005
-    assert small("log.snapshot=0 s").memory_ticks == 0
-    assert small("log.snapshot=2 s").memory_ticks == 200
-
-
-def test_what_cannot_go_on_says_why(module: Callable[[str], str], tmp_path: Path) -> None:
-    law = module(failing(10**6, "pass"))
-    logs = {"LOG": (), "WITHOUT": ("log.snapshot=0 s",), "FORGETFUL": (f"controller={law}:Law",)}
-    short = ("checks={ledger: balanced, tumbled: waived}", "duration=1 s", "log.snapshot=500 ms")
-    places = {
-        name: run(load_scenario("paper", [*short, *overrides]), tmp_path).directory for name, overrides in logs.items()
-    }
-    check_commands("repeat/what cannot go on", places | {"mine": law, "HERE": tmp_path}, "run", "--from")
+def test_what_cannot_go_on_says_why(tmp_path: Path) -> None:
+    short = ("checks={ledger: balanced, tumbled: waived}", "duration=1 s")
+    places = {"LOG": run(load_scenario("paper", short), tmp_path).directory, "HERE": tmp_path}
+    check_commands("repeat/what cannot go on", places, "run", "--from")
     assert parse_from("a@b@20 s") == (Path("a@b"), 20_000_000_000)
 
 
 def test_on_the_command_line(recorded: Alone, tmp_path: Path) -> None:
-    first = recorded("paper", "duration=1 s", "log.snapshot=500 ms")
+    first = recorded("paper", "duration=1 s")
     result = invoke("run", "--from", f"{first.directory}@0.5s", "--out", tmp_path)
     assert result.exit_code == 0, result.output
     assert "goes on from t = 500 ms of " in result.stderr
@@ -256,7 +218,7 @@ def test_on_the_command_line(recorded: Alone, tmp_path: Path) -> None:
 
 
 def test_times_and_speed_count_from_its_start(recorded: Alone, tmp_path: Path) -> None:
-    first = recorded("paper", "duration=12 s", "log.snapshot=1 s", "log.every=5 ticks")
+    first = recorded("paper", "duration=12 s", "log.every=5 ticks")
     scenario, start = continuation(first.directory, 2_000_000_000)
     again = run(scenario, tmp_path, start)
     assert (first.values["from_s"], again.values["from_s"], again.values["sim_s"]) == (0.0, 2.0, 12.0)
@@ -272,7 +234,7 @@ def test_times_and_speed_count_from_its_start(recorded: Alone, tmp_path: Path) -
 @pytest.mark.parametrize("at_ms", [400, 600])
 def test_an_agent_that_was_gone_is_there_if_nothing_ends_it(at_ms: int, tmp_path: Path) -> None:
     """It begins without memory at that moment. Before, the run waited for it for ever."""
-    log = ["log.snapshot=200 ms", "checks={tumbled: waived}"]
+    log = ["checks={tumbled: waived}"]
     gone = run(small(*log, "faults=[{at: 400 ms, kill: 1}]"), tmp_path)
     scenario, start = continuation(gone.directory, at_ms * 1_000_000, ["faults=[]"])
     found = run(scenario, tmp_path, start)
@@ -282,7 +244,7 @@ def test_an_agent_that_was_gone_is_there_if_nothing_ends_it(at_ms: int, tmp_path
 
 def test_triggers_look_at_the_run_that_goes_on(recorded: Alone, tmp_path: Path) -> None:
     """They looked at a run from t = 0. So a moment before the start began a fault, and this one came too early."""
-    log = recorded("paper", "duration=2.4 s", "log.snapshot=1 s").directory / "run.mcap"
+    log = recorded("paper", "duration=2.4 s").directory / "run.mcap"
     x = open_log(log)["uuv/1/state"]
     early, late = (float(x["x"][np.searchsorted(x.t, at_s)]) for at_s in (0.7, 1.7))
     triggers = ", ".join(

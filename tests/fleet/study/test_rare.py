@@ -11,13 +11,13 @@ from statistics import fmean
 
 import msgpack
 import pytest
+from fleet.recorder.snapshot import Snapshot
 from marks import slow
 from refusals import check_refusals, type_command
 from study_engine import Here
 from tool import invoke
 
 from fleet.execution.stepped_run import judged
-from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.study.branches import Branch, run_branch
@@ -36,7 +36,7 @@ formation: {shape: line, spacing: 8 m}
 graph: {shape: path, reference: all}
 initial: {scatter: 0 m, around: reference}
 network: {period: 100 ms, links: {"*": loss 20%}}
-log: {every: 1 tick, snapshot: 100 ms}
+log: {every: 1 tick}
 checks: {max_age: {below: 450 ms}, tumbled: waived}
 """
 

@@ -244,7 +244,7 @@ class HealingSearch:
             return NoReturn(how, words, None, tried[0].at_s, tried)
         passes = self._known[self._moments[low].tick]
         if high is None:
-            words = f"healed at {passes.at_s:g} s, the last snapshot before it failed, it still passes ({runs})"
+            words = f"healed at {passes.at_s:g} s, the last moment before it failed, it still passes ({runs})"
             return NoReturn(how, words, passes.at_s, None, tried)
         fails = self._known[self._moments[high].tick]
         then = "it fails" if fails.passed is False else "there is no time left to judge it"

@@ -32,6 +32,7 @@ class Navigator:
         self._instruments = Instruments(config, seed, i, tick_ns)
         self._fixes = Fixes(config.fixes, seed, i, tick_ns)
         self.filter: NavigationFilter
+        self._tick: int = 0
         self._current: Vec3 = (0.0, 0.0, 0.0)
         self._tell: list[Fix] = []  # fixes that nobody has asked for yet
         self.begin(0, state)
@@ -45,7 +46,7 @@ class Navigator:
         heading = self._instruments.heading(0, state[4])
         assert heading is not None  # there is one at the start
         self.filter = NavigationFilter(self._config, state[0] + off[0], state[1] + off[1], heading)
-        self._tick: int = tick
+        self._tick = tick
 
     def step(self, before: State, after: State, current: Vec3, faults: Sequence[WorldFault], phi: float) -> None:
         """Take what is measured on the way to the next tick.

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from failing_laws import failing
 from failing_laws import module as module
 from fault_histories import EVERYTHING
 from in_process_runs import Alone
 from marks import slow
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from ranged import DYING
 from refusals import check_commands
 from small_scenario import small
@@ -21,6 +26,7 @@ from fleet.execution.options import Options
 from fleet.execution.triggered import fired
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader, Record
+from fleet.logs.schemas import OLD_START
 from fleet.pictures.axes import over_time
 from fleet.pictures.exchange import peak_ages
 from fleet.pictures.runs import View, load
@@ -257,3 +263,93 @@ def test_triggers_look_at_the_run_that_goes_on(recorded: Alone, tmp_path: Path) 
     assert 1.6e9 < begun[0][1] < 2.0e9
     goes_on = execute(scenario, Options(tmp_path, quiet=True, start=start))
     assert goes_on.status is Status.PASS, goes_on.reason
+
+
+def test_a_run_goes_on_with_laws_that_cannot_say_what_they_remember(
+    module: Callable[[str], str], tmp_path: Path
+) -> None:
+    """Here how often they were asked, which no log holds."""
+    name = module(failing(10**6, "pass").replace("self.config = config", "self.config, self.asked = config, 0")
+                  .replace("return (1.0,", "self.asked += 1\n        return (0.1 * self.asked,"))  # fmt: skip
+    whole = run(small(f"controller={name}:Law"), tmp_path)
+    scenario, start = continuation(whole.directory, 500_000_000)
+    assert since(run(scenario, tmp_path, start).directory, 500_000_000) == since(whole.directory, 500_000_000)
+
+
+CHANGED = "return (1.0, 0.0, 0.0)"
+
+
+def test_what_does_not_come_out_the_same_does_not_go_on(module: Callable[[str], str], tmp_path: Path) -> None:
+    """The code of a law is another by now: where, which message, why, and what to do are said; so says verify."""
+    name = module(failing(10**6, "pass"))
+    law = tmp_path / f"{name}.py"
+    whole = run(small(f"controller={name}:Law"), tmp_path)
+    scenario, start = continuation(whole.directory, 500_000_000, ["controller=bc"])
+    rest = run(scenario, tmp_path, start)
+    law.write_text(law.read_text("utf-8").replace(CHANGED, "return (1.0 + (sample.tick > 30), 0.0, 0.0)"), "utf-8")
+    del sys.modules[name]
+    for options in ((), ("--set", "controller=bc")):
+        done = invoke("run", "--from", f"{whole.directory}@0.5s", *options, "--out", tmp_path / "other", "--trust")
+        said = " ".join(done.stderr.split())
+        assert done.exit_code == 2 and not (tmp_path / "other").exists(), said
+        assert f"nothing can go on from {whole.directory}/run.mcap: its run does not come out the same again" in said
+        assert "uuv/1/command, tick 31, t = 0.31 s" in said, said
+        assert f"likely why: law {name}:Law: recorded with sha256" in said
+        assert f"a run with what is here now: fleet run {whole.directory}/scenario.yaml" in said
+        early = invoke("run", "--from", f"{whole.directory}@0.3s", *options, "--out", tmp_path / "early", "--trust")
+        assert early.exit_code == 0, early.output
+    checked = invoke("verify", rest.directory, "--trust")
+    assert checked.exit_code == 1 and f"likely why: law {name}:Law: recorded with sha256" in checked.stdout
+
+
+def test_a_log_that_goes_on_from_a_snapshot_of_an_older_version_says_so(
+    recorded: Alone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = recorded("paper", "duration=1 s")
+    monkeypatch.setattr("fleet.recorder.writer.START", OLD_START)
+    scenario, start = continuation(first.directory, 500_000_000)
+    old = run(scenario, tmp_path, start).directory
+    assert len(open_log(old)["uuv/1/state"]) == 51
+    for arguments in (["verify", old], ["whatif", old, "--agent", "1"], ["run", "--from", f"{old}@0.8s"]):
+        refused = invoke(*arguments)
+        said = " ".join(refused.stderr.split())
+        assert refused.exit_code == 2, said
+        assert f"{old}/run.mcap goes on from a snapshot, which this version does not read; run it anew from " in said
+        assert f"anew from {first.directory}/run.mcap, digest " in said
+
+
+def with_snapshots(source: Path, target: Path) -> None:
+    """Copy a log, with a snapshot before the first message of each tick from 200 ms on, as versions up to 1.0 wrote."""
+    with source.open("rb") as given, target.open("wb") as file:
+        reader, writer = make_reader(given), Writer(file)
+        writer.start()
+        for attachment in reader.iter_attachments():
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        numbers: dict[str, int] = {}
+        before = 0
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.topic not in numbers:
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                encoding = channel.message_encoding
+                numbers[channel.topic] = writer.register_channel(channel.topic, encoding, known, channel.metadata)
+                numbers.setdefault("snapshot", writer.register_channel("snapshot", encoding, known))
+            if message.log_time > max(before, 200_000_000):
+                before = message.log_time
+                writer.add_message(numbers["snapshot"], before, b"old", before)
+            times = message.log_time, message.data, message.publish_time, message.sequence
+            writer.add_message(numbers[channel.topic], *times)
+        writer.finish()
+
+
+def test_snapshots_in_a_log_of_an_older_version_are_passed_over(recorded: Alone, tmp_path: Path) -> None:
+    """They come between other messages, and nobody reads them."""
+    first = recorded("paper", "duration=1 s")
+    copied = tmp_path / "old.mcap"
+    with_snapshots(first.directory / "run.mcap", copied)
+    verified = verify(copied)
+    assert verified.reproduced and verified.messages == first.values["messages"], verification_lines(verified)
+    scenario, start = continuation(copied, 800_000_000)
+    assert since(run(scenario, tmp_path, start).directory, 800_000_000) == since(first.directory, 800_000_000)
+    assert invoke("info", copied).exit_code == 0

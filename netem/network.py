@@ -12,7 +12,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from netem.acoustic import AcousticChannel
-from netem.condition import Condition, Link
+from netem.condition import Link
 from netem.config import NetemConfig
 from netem.faults import NetFault, active_faults
 from netem.medium import IndependentLinks, Medium, MediumRound, Place, make_links
@@ -93,13 +93,6 @@ class Netem:
         """The fates not yet reported when the run ends before tick `end_tick` is started."""
         self._medium.close(end_tick)
         return self._book(self._transit.close(end_tick))
-
-    def set_condition(self, link: Link, condition: Condition) -> None:
-        """Change a link from now on; what is on its way, and what the link remembers, stays."""
-        self._links.models[link].condition = condition
-
-    def condition(self, link: Link) -> Condition:
-        return self._links.models[link].condition
 
     def _book(self, fates: list[Fate]) -> tuple[Fate, ...]:
         fates.sort(key=fate_order)

@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import inf, isfinite, sqrt
 from typing import Any, ClassVar, NamedTuple
 
@@ -265,10 +264,3 @@ class OptimalGuidance:
             rho = slew(rho, previous, params.slew * sample.dt)
         self._rho = rho
         return rho, (*self.K, float(status), float(self.failures))
-
-
-def _vec3(values: Sequence[float] | None) -> Vec3 | None:
-    if values is None:
-        return None
-    x, y, z = values
-    return x, y, z

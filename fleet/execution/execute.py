@@ -21,7 +21,7 @@ from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import refuse
 from fleet.execution.hosting import Hosting, hosting
 from fleet.execution.in_process import InProcess
-from fleet.execution.moments import Moment, reach
+from fleet.execution.moments import Prefix, reach
 from fleet.execution.options import Options
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.registry import RegistryError, register
@@ -182,7 +182,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     return run.result
 
 
-def _reached(start: Start, *, quiet: bool) -> Moment:
+def _reached(start: Start, *, quiet: bool) -> Prefix:
     at = show_time(start.tick * start.legs[-1].scenario.tick_ns)
     with showing(f"running to t = {at} again", quiet=quiet) as tell:
         return reach(start, tell)
@@ -191,7 +191,7 @@ def _reached(start: Start, *, quiet: bool) -> Moment:
 def _prepare(
     scenario: Scenario,
     options: Options,
-    moment: Moment | None,
+    moment: Prefix | None,
     terminal: Terminal,
     interrupts: DeferInterrupts,
     while_it_lives: ExitStack,

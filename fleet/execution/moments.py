@@ -19,7 +19,7 @@ from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
 
 
-class Moment(NamedTuple):
+class Prefix(NamedTuple):
     """A run before a tick, from which one other run goes on; it is used up then."""
 
     run: InProcess
@@ -39,7 +39,7 @@ class _Unrecorded:
         self.links.settle(fate)
 
 
-def reach(start: Start, tell: Callable[[float], None] = lambda share: None) -> Moment:
+def reach(start: Start, tell: Callable[[float], None] = lambda share: None) -> Prefix:
     """Run to where another run begins.
 
     Args:
@@ -49,14 +49,14 @@ def reach(start: Start, tell: Callable[[float], None] = lambda share: None) -> M
     Raises:
         FleetError: the way there broke, or it is not that of the log.
     """
-    moment: Moment | None = None
+    moment: Prefix | None = None
     for leg in start.legs:
         moment = _gone(leg, moment, start if leg is start.legs[-1] else None, lambda k: tell(k / start.tick))
     assert moment is not None
     return moment
 
 
-def _gone(leg: Leg, before: Moment | None, start: Start | None, tell: Callable[[int], None]) -> Moment:
+def _gone(leg: Leg, before: Prefix | None, start: Start | None, tell: Callable[[int], None]) -> Prefix:
     """Go on from a moment to the end of a leg. `start`: whose last leg it is."""
     scenario = leg.scenario
     links = LinkHistories(scenario.graph.links) if before is None else before.links
@@ -77,4 +77,4 @@ def _gone(leg: Leg, before: Moment | None, start: Start | None, tell: Callable[[
     except BaseException:
         run.release()
         raise
-    return Moment(run, links)
+    return Prefix(run, links)

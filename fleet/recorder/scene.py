@@ -1,9 +1,9 @@
 """The drawing for 3D viewers, as Foxglove's SceneUpdate: hulls, links and the places where the vehicles should be.
 
 Every message is complete: a viewer that jumps to a time looks no further back than to the last message of a topic, and
-a log that goes on from a snapshot has none before it. All that is remembered from one to the next is what became of the
-last packets of each link, and that stands in the snapshot. Links and places are drawn in `reference`, which moves with
-the fleet, so that they hardly lag behind the hulls between two messages.
+a log that goes on from another has none before its beginning. All that is remembered from one to the next is what
+became of the last packets of each link, and such a run takes that over. Links and places are drawn in `reference`,
+which moves with the fleet, so that they hardly lag behind the hulls between two messages.
 """
 
 from __future__ import annotations

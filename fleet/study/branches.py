@@ -17,7 +17,7 @@ from fleet.analysis.preflight import may_draw
 from fleet.analysis.verdicts import judge
 from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess, in_process
-from fleet.execution.moments import Moment, reach
+from fleet.execution.moments import Prefix, reach
 from fleet.processes.apart import apart, can_copy
 from fleet.recorder.log_file import NoDigest
 from fleet.recorder.metrics import VehicleError
@@ -36,7 +36,7 @@ from netem.wire.messages import Command, Fate, Frame
 _FAILED = -1e-300  # the margin of a check that failed at its limit: below 0
 # Whose margin is the least over the time, so that a part of a run can go on from what it was before.
 _OF_THE_TIME = ("formation_error", "consensus_error", "min_separation", "max_age")
-# Others are drawn before a run begins, or with a state that a snapshot has.
+# Others are drawn before a run begins, or are the same for each salt.
 _OF_THE_WHOLE_SEED = ("current", "navigation", "traces", "acoustic channel")
 
 
@@ -91,12 +91,12 @@ def run_branches(scenario: Scenario, asked: Branches, progress: Callable[[float]
     return rows
 
 
-def _moment(scenario: Scenario, asked: Branches) -> Moment | None:
+def _moment(scenario: Scenario, asked: Branches) -> Prefix | None:
     return reach(Start(tuple(Leg(scenario, tick, salt) for salt, tick in asked.way))) if asked.way else None
 
 
 def _future(
-    scenario: Scenario, asked: Branches, salt: int, moment: Moment | None, progress: Callable[[float], None]
+    scenario: Scenario, asked: Branches, salt: int, moment: Prefix | None, progress: Callable[[float], None]
 ) -> Row:
     """Go on from a moment, and keep each round at which the margin is smaller than ever before."""
 

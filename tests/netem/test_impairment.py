@@ -289,10 +289,10 @@ def test_any_change_keeps_what_is_on_its_way(before: Condition, after: Condition
     netem = Netem(NetemConfig(1, 10 * MS, 10, (1, 2), ((1, 2),), {(1, 2): before}))
     fates = list(netem.exchange(0, {1: (PAYLOAD,) * 5, 2: ()}).fates)
     due = sorted(p.due_tick for p in [*netem._transit.announced, *netem._transit.pending[2]])
-    netem.set_condition((1, 2), after)
+    netem._links.models[1, 2].condition = after
     assert sorted(p.due_tick for p in [*netem._transit.announced, *netem._transit.pending[2]]) == due
     fates += netem.exchange(10, {1: (PAYLOAD,) * 5, 2: ()}).fates
-    netem.set_condition((1, 2), Condition())
+    netem._links.models[1, 2].condition = Condition()
     fates += netem.exchange(20, {1: (PAYLOAD,), 2: ()}).fates
     fates += netem.close(30)
     assert len({(f.seq, f.copy) for f in fates}) == len(fates)

@@ -188,10 +188,6 @@ class NavigationFilter:
         self._forget(i)
         return nis, used
 
-    def keep_only(self, keys: set[int]) -> None:
-        for key in [key for key in self.kept if key not in keys]:
-            self._forget(SIZE + 2 * self.kept.index(key))
-
     def _widen(self, north: float, east: float) -> None:
         """The position, now and in the past, is more uncertain by these variances [m^2]."""
         for axis, by in ((N, north), (E, east)):

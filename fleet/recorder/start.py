@@ -8,14 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
 from fleet.scenario.scenario import Scenario
-
-if TYPE_CHECKING:
-    from fleet.recorder.writer import MessageSink
 
 
 class Leg(NamedTuple):
@@ -33,7 +30,7 @@ class Start:
     legs: tuple[Leg, ...]  # each goes on where the one before ends
     source: str = ""  # the log, and its digest
     notes: tuple[str, ...] = ()
-    recorded: Callable[[], MessageSink] | None = None  # makes what compares the last leg with its log
+    recorded: Callable[[], Any] | None = None  # makes a `MessageSink` that compares the last leg with its log
 
     @property
     def tick(self) -> int:

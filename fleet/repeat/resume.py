@@ -14,10 +14,9 @@ from fleet.errors import FleetError
 from fleet.logs.reader import Tell, digest
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.start import Leg, Start, set_up_otherwise
-from fleet.recorder.writer import run_metadata
 from fleet.repeat.recorded_run import Recorded
 from fleet.repeat.recorded_run import recorded as read
-from fleet.repeat.verify import Comparison, Over, Verification, as_it_was, compare_metadata, start_of
+from fleet.repeat.verify import Proof, as_it_was, start_of
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import moment_grid
@@ -77,7 +76,7 @@ def continuation(
     if anew := [i for i in range(1, scenario.vehicles + 1) if set_up_otherwise(scenario, recorded, i)]:
         notes.append(f"set up otherwise: agents {', '.join(map(str, anew))} begin without memory")
     named = f"{source.path}, digest {digest(source.path, tell)}"
-    return scenario, Start(legs, named, tuple(notes), lambda: _Proof(source, recorded, before))
+    return scenario, Start(legs, named, tuple(notes), lambda: Proof(source, recorded, before))
 
 
 def _tick(source: Recorded, recorded: Scenario, at_ns: int | None, first: int) -> int:
@@ -115,28 +114,3 @@ def _check(scenario: Scenario, recorded: Scenario, overrides: Sequence[str | Ove
             f"the run would be over before t = {at}, from which it goes on: give an earlier moment, as in LOG@20s, or "
             "a longer --duration"
         )
-
-
-class _Proof(Comparison):
-    """A sink of the log writer that insists on the messages of a log, as far as they go."""
-
-    def __init__(self, source: Recorded, scenario: Scenario, before: Start | None) -> None:
-        self._path, self._about = source.path, source.reader.metadata.get("run", {})
-        found = Verification(source.path, source.last_ns / 1e9, scenario.duration_ns / 1e9)
-        compare_metadata(found, self._about, run_metadata(scenario, before))
-        super().__init__(found, scenario, source.reader, source.last_ns, lambda at_s, end_s: None)
-
-    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """Compare it. Raises FleetError: the log has another one."""
-        try:
-            super().message(channel, log_ns, publish_ns, sequence, data)
-        except Over:
-            found = self.verification
-            if found.difference is None:
-                return  # the log ends here
-            likely = "".join(f"\nlikely why: {text}" for text in found.versions)
-            raise FleetError(
-                f"nothing can go on from {self._path}: its run does not come out the same again\n"
-                f"{found.difference.words}{likely}\n"
-                f"a run with what is here now: fleet run {self._path.with_name('scenario.yaml')}"
-            ) from None

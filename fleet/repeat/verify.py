@@ -241,8 +241,8 @@ def verify(
     start, scenario = start_of(source), as_it_was(source)
     verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     verification.external = scenario.external
-    compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
-    comparison = Comparison(verification, scenario, reader, last_ns, tell)
+    _compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
+    comparison = _Comparison(verification, scenario, reader, last_ns, tell)
     _run_again(comparison, verification, scenario, last_ns, start)
     verification.machine = _machines(path)
     verification.reproduced = verification.difference is None and not verification.contradictions
@@ -295,7 +295,7 @@ def _gaps(reader: LogReader) -> list[int]:
     return [int(number) for number in numbers if number.isdecimal()]
 
 
-def compare_metadata(verification: Verification, recorded: dict[str, str], here: dict[str, str]) -> None:
+def _compare_metadata(verification: Verification, recorded: dict[str, str], here: dict[str, str]) -> None:
     for key in [*here, *(key for key in recorded if key not in here)]:
         left, right = recorded.get(key), here.get(key)
         if left == right:
@@ -321,17 +321,17 @@ def _machines(path: Path) -> str:
     )
 
 
-class Over(Exception):
+class _Over(Exception):
     """Everything that was recorded has been compared, or the two differ."""
 
 
-class Comparison:
+class _Comparison:
     """A sink of the log writer that compares each message with the recorded one, and writes nothing."""
 
     def __init__(
         self, verification: Verification, scenario: Scenario, reader: LogReader, last_ns: int, tell: Tell
     ) -> None:
-        self.verification, self._tell = verification, tell
+        self._verification, self._tell = verification, tell
         self._tick_ns, self._last_ns = scenario.tick_ns, last_ns
         self._first = reader
         self._complete = not reader.missing and last_ns == scenario.ticks * scenario.tick_ns
@@ -348,7 +348,7 @@ class Comparison:
         """Nothing to compare: the attachments of the log are what is run again."""
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Nothing to compare: `compare_metadata` has done so."""
+        """Nothing to compare: `_compare_metadata` has done so."""
 
     def channel(self, topic: str, schema: Schema) -> int:
         self._topics.append(topic)
@@ -358,20 +358,20 @@ class Comparison:
         here = Record(self._topics[channel], log_ns, publish_ns, sequence, data)
         expected = self._expected
         if expected is None and not self._complete:
-            raise Over
+            raise _Over
         if expected != here:
             if self._gaps and self._number >= self._gaps[0] and expected is not None and expected[:4] != here[:4]:
-                self.verification.skipped += 1
+                self._verification.skipped += 1
                 return
             self._differ(here)
             self._forgive(log_ns if expected is None else min(log_ns, expected.log_ns))
-            raise Over
+            raise _Over
         while self._gaps and self._gaps[0] <= self._number:
             self._gaps.popleft()
-        self.verification.messages += 1
+        self._verification.messages += 1
         self._expected = self._next()
         if self._expected is None and not self._complete:
-            raise Over
+            raise _Over
 
     def _next(self) -> Record | None:
         """The next recorded message, without the snapshots of older versions."""
@@ -393,7 +393,7 @@ class Comparison:
 
     def finish(self) -> None:
         """The run has ended: a recorded message that did not come again is a difference."""
-        verification = self.verification
+        verification = self._verification
         if verification.difference is None and self._expected is not None and not verification.unknown:
             self._differ(None)
 
@@ -401,9 +401,9 @@ class Comparison:
         """A difference means nothing when what an external agent had sent by then is not in the log."""
         for i, agent in self.external.items():
             if at_ns > agent.known * self._tick_ns:
-                self.verification.difference = None
+                self._verification.difference = None
                 since = agent.known * self._tick_ns / 1e9
-                self.verification.unknown = (
+                self._verification.unknown = (
                     f"what vehicle {i} sent after t = {since:g} s was under way when the log ended, and is not in it"
                 )
 
@@ -413,12 +413,37 @@ class Comparison:
             # By the log's own declarations, which it has of every topic that it shares with the re-run.
             right = Side("re-run", here, Decoder(self._first)(here), self._tick_ns)
         else:
-            right = Side("re-run", None, [], self._tick_ns, self.verification.reason)
-        self.verification.difference = difference(self._number, recorded, right)
+            right = Side("re-run", None, [], self._tick_ns, self._verification.reason)
+        self._verification.difference = difference(self._number, recorded, right)
+
+
+class Proof(_Comparison):
+    """A sink of the log writer that insists on the messages of a log, as far as they go."""
+
+    def __init__(self, source: Recorded, scenario: Scenario, before: Start | None) -> None:
+        self._path, self._about = source.path, source.reader.metadata.get("run", {})
+        found = Verification(source.path, source.last_ns / 1e9, scenario.duration_ns / 1e9)
+        _compare_metadata(found, self._about, run_metadata(scenario, before))
+        super().__init__(found, scenario, source.reader, source.last_ns, lambda at_s, end_s: None)
+
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        """Compare it. Raises FleetError: the log has another one."""
+        try:
+            super().message(channel, log_ns, publish_ns, sequence, data)
+        except _Over:
+            found = self._verification
+            if found.difference is None:
+                return  # the log ends here
+            likely = "".join(f"\nlikely why: {text}" for text in found.versions)
+            raise FleetError(
+                f"nothing can go on from {self._path}: its run does not come out the same again\n"
+                f"{found.difference.words}{likely}\n"
+                f"a run with what is here now: fleet run {self._path.with_name('scenario.yaml')}"
+            ) from None
 
 
 def _run_again(
-    comparison: Comparison, verification: Verification, scenario: Scenario, last_ns: int, start: Start | None
+    comparison: _Comparison, verification: Verification, scenario: Scenario, last_ns: int, start: Start | None
 ) -> None:
     tick = last_ns // scenario.tick_ns
     # No further than the recording went: it may have ended because the next tick cannot be computed.
@@ -435,13 +460,13 @@ def _run_again(
     def moved() -> None:
         nonlocal seen
         if until < scenario.ticks and journal.written == seen:  # every grant is used up
-            raise Over
+            raise _Over
         seen = journal.written
 
     try:
         if (broken := runner.to_end(moved, policy)) is not None:
             verification.reason = broken.reason
-    except Over:
+    except _Over:
         pass
     except NotRecordedError as error:
         verification.unknown = str(error)

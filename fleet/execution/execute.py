@@ -173,6 +173,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     moment = None if options.start is None else _reached(options.start, quiet=options.quiet)
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:
+        if moment is not None:
+            while_it_lives.callback(moment.run.release)
         run = _prepare(scenario, options, moment, terminal or Terminal(stderr=True), interrupts, while_it_lives)
         _serve(run)
         with interrupts:  # what there is gets written, whatever comes meanwhile

@@ -40,7 +40,14 @@ def apart(make: Callable[[], R]) -> R:
     assert can_copy(), "a process with several threads is not copied"
     reading, writing = os.pipe()
     gc.freeze()  # a collection in the copy would touch, and so copy, everything
-    parent, pid = os.getpid(), os.fork()
+    parent = os.getpid()
+    try:
+        pid = os.fork()
+    except OSError as error:
+        os.close(reading)
+        os.close(writing)
+        gc.unfreeze()
+        raise RunBroken(f"a run cannot be copied: {error.strerror}; is there enough memory?") from None
     if pid == 0:
         os.close(reading)
         _answer(writing, parent, make)

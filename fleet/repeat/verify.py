@@ -373,6 +373,11 @@ class _Comparison:
         if self._expected is None and not self._complete:
             raise _Over
 
+    def way(self, start: Start) -> Callable[[float], None]:
+        """Tells how far it is to where the log begins."""
+        begin_s, end_s = start.tick * self._tick_ns / 1e9, self._last_ns / 1e9
+        return lambda share: self._tell(share * begin_s, end_s)
+
     def _next(self) -> Record | None:
         """The next recorded message, without the snapshots of older versions."""
         for record in self._recorded:
@@ -451,7 +456,7 @@ def _run_again(
     until = min(scenario.ticks, max(-(-tick // every) * every, -(-tick // m) * m) + 1)
     policy = GrantPolicy(until, scenario.tick_ns, m, every)
     agents = {i: agent.loop for i, agent in comparison.external.items()}
-    moment = None if start is None else reach(start)
+    moment = None if start is None else reach(start, comparison.way(start))
     before, links = (None, None) if moment is None else moment
     writer = LogWriter(comparison, scenario, start, links=links)
     runner = in_process(scenario, writer, before, agents=agents, judged=False)

@@ -79,13 +79,17 @@ def run_branches(scenario: Scenario, asked: Branches, progress: Callable[[float]
     moment = _moment(scenario, asked)
     way = asked.way[-1][1] if asked.way else 0
     rows = list[Row]()
-    for number, salt in enumerate(asked.salts):
-        last = number == len(asked.salts) - 1
-        if not last and moment is not None and moment.run.can_be_copied and can_copy():
-            rows.append(apart(partial(_future, scenario, asked, salt, moment, progress)))
-        else:
-            rows.append(_future(scenario, asked, salt, moment, progress))
-            moment = None if last else _moment(scenario, asked)
+    try:
+        for number, salt in enumerate(asked.salts):
+            last = number == len(asked.salts) - 1
+            if not last and moment is not None and moment.run.can_be_copied and can_copy():
+                rows.append(apart(partial(_future, scenario, asked, salt, moment, progress)))
+            else:
+                rows.append(_future(scenario, asked, salt, moment, progress))
+                moment = None if last else _moment(scenario, asked)
+    finally:
+        if moment is not None:
+            moment.run.release()
     assert rows[0].part is not None
     rows[0].part = replace(rows[0].part, ticks=way + rows[0].part.ticks)
     return rows

@@ -141,16 +141,20 @@ def healed_runs(task: Task, scenario: Scenario) -> list[Row]:
     """
     run: Run | None = None
     rows = []
-    for tick, text in task.healed:
-        run = Run.prepared(scenario, NoDigest()) if run is None else run
-        if tick > run.tick:
-            run.go(tick - run.tick)
-        make = partial(_healed, run, task._replace(text=text))
-        if tick < task.healed[-1][0] and run.can_be_copied and can_copy():
-            rows.append(apart(make))
-        else:
-            rows.append(make())
-            run = None
+    try:
+        for tick, text in task.healed:
+            run = Run.prepared(scenario, NoDigest()) if run is None else run
+            if tick > run.tick:
+                run.go(tick - run.tick)
+            make = partial(_healed, run, task._replace(text=text))
+            if tick < task.healed[-1][0] and run.can_be_copied and can_copy():
+                rows.append(apart(make))
+            else:
+                rows.append(make())
+                run = None
+    finally:
+        if run is not None:
+            run.close()
     return rows
 
 

@@ -92,6 +92,13 @@ def since(directory: Path, ns: int) -> list[Record]:
             "dead-reckoning",
             ["duration=2 s", "per_vehicle.1.navigation.usbl={at: 0 0 0 m, period: 400 ms, delay: 1 s}", INSTRUMENTS],
         ),
+        (
+            "paper",
+            [
+                "duration=2 s",
+                "faults=[{at: 500 ms, for: 1 s, pause: 2}, {at: 600 ms, for: 1 s, slow: {vehicles: 3, by: 7 ticks}}]",
+            ],
+        ),
         ("locate-consistent", ["duration=9 s", *DYING]),
         *slow(
             ("crossing", ["duration=2 s", "keep_apart.distance=25 m"]),
@@ -192,6 +199,24 @@ def test_a_fault_and_links_in_words_act_from_there_on(recorded: Alone, tmp_path:
     early = Override(FAULT, "at 100 ms for 900 ms mute 1")
     with pytest.raises(FleetError, match="--fault at 100 ms for 900 ms mute 1: it begins before t = 500 ms"):
         continuation(first.directory, 500_000_000, [early])
+
+
+def test_what_an_agent_remembers_goes_on_as_long_as_it_is_set_up_as_before(recorded: Alone, tmp_path: Path) -> None:
+    """Another seed changes what is drawn from there on, and the sea and other vehicles are nothing that it knows of."""
+    first = recorded("paper", "duration=1 s")
+    for changes, anew in (
+        (["seed=7", "sea.current=0.3 0 0 m/s", "network.links.*=loss 20%"], None),
+        (["neighbours.extrapolate=reference"], "1, 2, 3, 4"),
+        (["per_vehicle={'2': {tracking: {k_u: 3 1/s}}}"], "2"),
+    ):
+        scenario, start = continuation(first.directory, 500_000_000, changes)
+        assert start.notes[1:] == (() if anew is None else (f"set up otherwise: agents {anew} begin without memory",))
+        again = open_log(run(scenario, tmp_path, start).directory)
+        before = open_log(first.directory)
+        for i in (1, 2, 3, 4):
+            states = [log[f"uuv/{i}/state"] for log in (before, again)]
+            assert states[1].t[0] == 0.5 and states[0].x[50] == states[1].x[0]
+            assert states[0].x[-1] != states[1].x[-1]
 
 
 def test_an_agent_with_another_law_begins_without_memory(recorded: Alone, tmp_path: Path) -> None:

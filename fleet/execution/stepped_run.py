@@ -274,8 +274,13 @@ class Run:
         return found
 
     def heal_as(self, scenario: Scenario) -> None:
-        """End all faults at the next tick, and let none begin later: the run goes on as one of `scenario`, which has no
-        other faults than were until now and is the same otherwise, and is judged by its checks.
+        """End all faults at the next tick, and let none begin later.
+
+        Args:
+            scenario: the same with the faults ended then. The run goes on as one of it, and its checks judge the run.
+
+        Raises:
+            RefusedError: agents cannot begin again in time.
         """
         for kill in self._operator.end_faults():
             self._runner.spare_agents(kill)

@@ -99,6 +99,10 @@ class Netem:
         self._links.ledger.settle(fates)
         return tuple(fates)
 
+    def settle(self, tick: int) -> tuple[Fate, ...]:
+        """The fates up to a tick that are not yet reported, before the round behind it reports them."""
+        return self._book(self._transit.settle(tick))
+
     def under_way(self) -> list[PendingPacket]:
         """The packets that will arrive and have no final fate yet."""
         return [*self._transit.announced, *(packet for queue in self._transit.pending.values() for packet in queue)]

@@ -225,6 +225,10 @@ class InProcess:
             if (known := before.life(i)) is not None:  # else it was gone there, and may be there now
                 loop.take_over(known, anew=set_up_otherwise(self.scenario, before.scenario, i))
 
+    def write_up(self) -> None:
+        """Write all ticks that are over; what netem would report with the next round of them, it reports now."""
+        self.journal.write_up(self.granted - 1, self.rounds.netem.settle(self.granted - 1))
+
     @property
     def can_be_copied(self) -> bool:
         """Whether a copy of this process can go on with the run: no plant holds a process, or the like."""

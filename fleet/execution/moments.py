@@ -70,6 +70,7 @@ def _gone(leg: Leg, before: Prefix | None, start: Start | None, tell: Callable[[
         while run.granted < leg.until:
             run.advance(min(run.granted + scenario.round_ticks, leg.until))
             tell(run.granted)
+        run.write_up()
     except (AgentError, WorldError, RunBroken) as error:
         run.release()
         at = show_time(leg.until * scenario.tick_ns)

@@ -157,6 +157,11 @@ class Journal:
         self.closed = report.closing
         self._write()
 
+    def write_up(self, tick: int, fates: Iterable[Fate]) -> None:
+        """Write everything up to a tick, with the fates of the round that is not reported yet."""
+        self._fates.extend(fates)
+        self._write_up_to(tick)
+
     def _write(self) -> None:
         limit = min(self.framed, self.reported)
         if limit > self.written:

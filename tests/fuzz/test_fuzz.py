@@ -64,7 +64,6 @@ from netem.wire.messages import (
     Grant,
     Hello,
     Inbox,
-    Memory,
     Nav,
     Note,
     Receipt,
@@ -146,7 +145,6 @@ COMMANDS = st.builds(
     st.tuples(*[st.sampled_from([0.0, 1e308, -1e308, 5e-324, 10.0])] * 3),
     st.lists(st.floats(), max_size=40).map(tuple),
 )
-MEMORIES = st.builds(Memory, st.sampled_from([0, 0, 1]), TICKS, st.binary(max_size=50) | st.just(b"x" * 47_000))
 TRANSMISSIONS = st.builds(
     Transmission,
     st.sampled_from([0, 0, 0, 1]),
@@ -156,9 +154,7 @@ TRANSMISSIONS = st.builds(
 HELLOS = messages(Hello)
 FROM_AGENTS = st.tuples(
     st.integers(1, N) | st.sampled_from([0, 77]),
-    st.one_of(
-        WIRE, ANY_MESSAGE.map(encode), (COMMANDS | MEMORIES | TRANSMISSIONS | HELLOS | messages(Receipt)).map(encode)
-    ),
+    st.one_of(WIRE, ANY_MESSAGE.map(encode), (COMMANDS | TRANSMISSIONS | HELLOS | messages(Receipt)).map(encode)),
 )
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import nan
-from typing import Any
 
 from agents.brain import Brain
 from agents.codecs import codec
@@ -77,13 +76,6 @@ class ByReference:
         """b_i [1] of this place at a tick of simulated time, which is `now` by the own clock."""
         return self._config.reference_weight
 
-    def state(self) -> dict[str, Any]:
-        """What the next weight depends on, as plain values."""
-        return {}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-
 
 class ByNeighbours(ByReference):
     """The desired motion of a vehicle that does not know the reference."""
@@ -119,12 +111,6 @@ class OnStandby(ByReference):
             said = f"it has not heard {who} for {after:g} s and" if leads else f"it hears {who} again and no longer"
             self._notes.append((tick, f"{said} follows the reference itself"))
         return 1.0 if leads else config.reference_weight
-
-    def state(self) -> dict[str, Any]:
-        return {"standby": [self._first_tick, self._leads]}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        self._first_tick, self._leads = values.get("standby", (None, False))
 
 
 class Agent(Brain):
@@ -203,25 +189,3 @@ class Agent(Brain):
     def counters(self) -> dict[str, int]:
         """How many payloads were accepted or refused by cause, and how many optimisations failed."""
         return {**self._neighbours.counters, **self._controller.counters()}
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on, as plain MessagePack values."""
-        return {
-            "last_tick": self._last_tick,
-            "failed": self._failed,
-            "unsaid": self._out_of_range,
-            "neighbours": self._neighbours.state(),
-            "controller": self._controller.state(),
-            **self._goal.state(),
-            **self._localizer.state(),
-        }
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()` of an agent with the same configuration."""
-        self._last_tick = values["last_tick"]
-        self._failed = values["failed"]
-        self._out_of_range = values["unsaid"]
-        self._neighbours.restore(values["neighbours"])
-        self._controller.restore(values["controller"])
-        self._goal.restore(values)
-        self._localizer.restore(values)

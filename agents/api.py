@@ -9,10 +9,7 @@ The agent makes its law once per run, as `Law(config, **parameters)`. `config` i
 and `parameters` are the values that the scenario gives the law. A law has
 
 * `signals`: its reported values, a tuple of `Signal` on the class;
-* `step`: answers one sample, see `Controller`, `Guidance`, `Tracking`. An agent has `transmit` and `decide` instead;
-* `state()` and `restore(values)`, both optional. `state()` returns everything that the next sample depends on, as plain
-  values (None, bool, int, float, str, bytes, list, dict). If all laws of a run have both, you can resume the run from
-  its log.
+* `step`: answers one sample, see `Controller`, `Guidance`, `Tracking`. An agent has `transmit` and `decide` instead.
 """
 
 from __future__ import annotations

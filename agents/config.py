@@ -188,7 +188,6 @@ class AgentConfig:
     on_error: OnError = "abort"  # what follows when a law fails
     budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
     codec: Codec = "full"  # of what it sends: agents.payload, agents.compact or agents.localization.payload
-    memory_ticks: int = 0  # how often it sends all that it remembers to the world; 0: never
     standby_for: tuple[int, ...] = ()  # while it hears none of these neighbours it follows the reference itself
     standby_after_s: float = 0.0  # for so long
     keep_apart: KeepApartParams | None = None  # between guidance and tracking; None: nothing is there

@@ -63,8 +63,6 @@ class RunningLaw(Protocol):
     """A law of one vehicle as the agent uses it: ours, or a user's behind a fence."""
 
     def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]: ...
-    def state(self) -> Any: ...
-    def restore(self, values: Any) -> None: ...
 
 
 def law_class(kind: str, law: Law) -> type[Any]:
@@ -123,12 +121,6 @@ class FencedController:
     def counters(self) -> dict[str, int]:
         return {}
 
-    def state(self) -> Any:
-        return {"controller": self._law.state()}
-
-    def restore(self, values: Any) -> None:
-        self._law.restore(values["controller"])
-
 
 class Cascade:
     """A guidance law followed by a tracking law, and by what keeps vehicles apart between them."""
@@ -164,20 +156,6 @@ class Cascade:
         if self._keep_apart is not None:
             found["keep_apart_infeasible"] = self._keep_apart.infeasible
         return found
-
-    def state(self) -> Any:
-        held = None if self._held is None else list(self._held)
-        values = {"held": held, "guidance": self.guidance.state(), "tracking": self.tracking.state()}
-        if self._keep_apart is not None:
-            values["keep_apart"] = self._keep_apart.state()
-        return values
-
-    def restore(self, values: Any) -> None:
-        self._held = None if values["held"] is None else tuple(values["held"])
-        self.guidance.restore(values["guidance"])
-        self.tracking.restore(values["tracking"])
-        if self._keep_apart is not None and "keep_apart" in values:  # not in the memory of a run without
-            self._keep_apart.restore(values["keep_apart"])
 
 
 def build(config: AgentConfig, notes: Notes, neighbours: NeighbourTable) -> Cascade | FencedController:

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 from agents.agent import Agent
 from agents.config import AgentConfig
@@ -84,15 +83,6 @@ class FormationAgent:
             name: telemetry[place.start] if width == 1 else telemetry[place]
             for name, (width, place) in self._where.items()
         }
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on, as plain values."""
-        return {} if self._agent is None else self._agent.state()
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-        if self._agent is not None:
-            self._agent.restore(values)
 
 
 _OWN = bytes((VERSION,))

@@ -6,16 +6,14 @@ ideal network the agent transmits first and decides once its inbox of the same t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
-
-import msgpack
+from collections.abc import Sequence
+from typing import Protocol
 
 from agents.sample import Decision
 from netem.errors import OutOfPlace
-from netem.wire.messages import Arrival, Command, Delivery, Inbox, Memory, Nav, Receipt, Transmission
+from netem.wire.messages import Arrival, Command, Delivery, Inbox, Nav, Receipt, Transmission
 
-Answer = Memory | Transmission | Command | Receipt  # a receipt only on a wall clock
+Answer = Transmission | Command | Receipt  # a receipt only on a wall clock
 
 
 class AgentCore(Protocol):
@@ -26,12 +24,6 @@ class AgentCore(Protocol):
 
     def decide(self, nav: Nav, deliveries: list[Delivery], /) -> Decision:
         """Answer one sample."""
-
-    def state(self) -> dict[str, Any]:
-        """All that the next samples depend on, as MessagePack values."""
-
-    def restore(self, values: dict[str, Any], /) -> None:
-        """Continue from `state()`."""
 
     def take_notes(self) -> list[tuple[int, str]]:
         """(tick, text) of what a person should know since the last call."""
@@ -48,22 +40,16 @@ class AgentLoop:
         incarnation: int = 0,
         begin: int = 0,
         ideal: bool = False,
-        memory_ticks: int = 0,
-        memories: Mapping[int, bytes] | None = None,
     ) -> None:
         """Begin life `incarnation` (from 0) of an agent, with the nav of tick `begin`.
 
         Args:
             ideal: packets arrive in the tick in which they are sent. The agent then transmits before it decides.
-            memory_ticks: the agent sends its memory at multiples of this number of ticks. With 0 it never does.
-            memories: by tick, the memories that a recorded agent sends in place of its own.
         """
         self.core = core
         self.round_ticks = round_ticks
         self.incarnation = incarnation
         self.ideal = ideal
-        self.memory_ticks = memory_ticks
-        self._memories = memories
         # The inbox is known up to this tick: earlier messages are not for this life.
         self._known = begin - 1 if ideal else begin
         self._tick = begin - 1  # last tick answered, or before the first
@@ -81,11 +67,18 @@ class AgentLoop:
         """Whether a nav has come, and its inbox is still missing."""
         return self._nav is not None
 
-    def remember(self, memory: bytes, *, anew: bool = False) -> None:
-        """Go on at the first tick with what an agent remembered before it in another run. `memory`: the `state` of its
-        Memory message. `anew`: the core begins without memory: only deliveries that were not due yet are taken.
+    def take_over(self, before: AgentLoop, *, anew: bool) -> None:
+        """Go on at the first tick for the agent of another run, with its deliveries that were not due yet. `anew`: with
+        the own core, which begins without memory.
         """
-        self._deliveries = restore(None if anew else self.core, memory)
+        self._deliveries = before._deliveries
+        if not anew:
+            self.core = before.core
+
+    @property
+    def waiting(self) -> tuple[Delivery, ...]:
+        """The deliveries that are not due yet."""
+        return tuple(self._deliveries)
 
     def nav(self, nav: Nav) -> list[Answer]:
         """Take the nav of the next tick, or of a later one when the agent was suspended in between. Raises OutOfPlace
@@ -119,30 +112,15 @@ class AgentLoop:
         sends = nav.tick % self.round_ticks == 0
         if self.ideal and sends and not self._transmitted:
             self._transmitted = True
-            out += self._memory(nav.tick)
             out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
         if self._known < nav.tick:
             return out
-        if not self.ideal:
-            out += self._memory(nav.tick)
-            if sends:
-                out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
+        if not self.ideal and sends:
+            out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
         tau, telemetry = self.core.decide(nav, self._due(nav.tick))
         out.append(Command(self.incarnation, nav.tick, tau, telemetry))
         self._nav, self._tick, self._transmitted = None, nav.tick, False
         return out
-
-    def _memory(self, tick: int) -> list[Answer]:
-        if self._memories is not None:
-            return [Memory(self.incarnation, tick, self._memories[tick])] if tick in self._memories else []
-        if not self.memory_ticks or tick % self.memory_ticks or tick == 0:
-            return []
-        waiting = [
-            [d.due_tick, d.sent_tick, d.src, d.seq, d.copy, d.payload]
-            + ([] if d.range_m is None else [d.range_m, d.range_sd_m, d.range_tick])
-            for d in self._deliveries
-        ]
-        return [Memory(self.incarnation, tick, msgpack.packb([self.core.state(), waiting]))]
 
     def _due(self, tick: int) -> list[Delivery]:
         # Deliveries of one inbox come sorted, and every later inbox is due later: the list stays sorted.
@@ -160,14 +138,6 @@ class AgentLoop:
         if incarnation > self.incarnation:
             raise OutOfPlace("incarnation", self.incarnation, incarnation)
         return incarnation == self.incarnation
-
-
-def restore(core: AgentCore | None, memory: bytes) -> list[Delivery]:
-    """Give an agent core, if there is one, what another remembered; returns its deliveries that were not due yet."""
-    state, deliveries = msgpack.unpackb(memory)
-    if core is not None:
-        core.restore(state)
-    return [Delivery(*delivery) for delivery in deliveries]
 
 
 class RealtimeLoop(AgentLoop):

@@ -228,7 +228,7 @@ def run_host(endpoint: str, run_id: str, number: int, credentials: Credentials, 
         config = AgentConfig.from_values(slice_)
         mark.at(config.id)
         core = _core(bus, keys, config, 0)
-        loop = AgentLoop(core, config.round_ticks, memory_ticks=config.memory_ticks)
+        loop = AgentLoop(core, config.round_ticks)
         agents.append(OneAgent(bus, keys, config.id, loop))
     mark.at(0)
     process = HostProcess(bus, keys, number, agents, mark)
@@ -257,14 +257,13 @@ def begin_life(
     note about the law by then.
     """
     vehicle = config.id
-    memory_ticks = config.memory_ticks if core is None else 0
     core = _core(bus, keys, config, begin) if core is None else core
     m = config.round_ticks
     process: AgentProcess
     if clock is Clock.REAL:
         process = RealtimeAgentProcess(bus, keys, vehicle, RealtimeLoop(core, m, incarnation=incarnation, begin=begin))
     else:
-        loop = AgentLoop(core, m, incarnation=incarnation, begin=begin, memory_ticks=memory_ticks)
+        loop = AgentLoop(core, m, incarnation=incarnation, begin=begin)
         process = AgentProcess(bus, keys, vehicle, loop, end)
     process.get_ready()
     return process

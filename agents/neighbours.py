@@ -21,7 +21,6 @@ unstable. "reference" is stable for every delay. "hold" is stable and lags behin
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 from agents.codecs import FullCodec
 from agents.config import AgentConfig, Neighbour
@@ -148,16 +147,3 @@ class NeighbourTable:
                 place = minus(self._offset.at(t).position, neighbour.offset.at(t).position)
                 drift = (drift[0] + way * place[0], drift[1] + way * place[1], drift[2] + way * place[2])
         return drift
-
-    def state(self) -> dict[str, Any]:
-        newest = [[*m[:2], *m.position, *m.velocity] for m in self._newest.values() if m is not None]
-        ranges = {"ranges": [[i, *measured] for i, measured in self._ranges.items()]} if self._ranges else {}
-        return {"newest": newest, "counters": dict(self.counters), **ranges}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        self._newest = dict.fromkeys(self._newest)
-        for sender, sent_tick, x, y, z, vx, vy, vz in values["newest"]:
-            self._newest[sender] = StateMessage(sender, sent_tick, (x, y, z), (vx, vy, vz))
-        self._ranges = {i: (range_m, sd_m) for i, range_m, sd_m in values.get("ranges", ())}
-        self.counters = dict(values["counters"])
-        self.rejected = sum(self.counters[cause] for cause in _REFUSED)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import nan
-from typing import Any
 
 from agents.brain import Brain
 from agents.config import AgentConfig, Law
@@ -14,7 +13,6 @@ from agents.own_time import by_own_clock, received_by_own_clock
 from agents.plugins.laws import law_fence, load
 from agents.sample import Decision
 from netem.wire.messages import Delivery, Nav
-from world.plugins.checks import resumable
 from world.plugins.fence import shown
 from world.vectors import Vec3
 
@@ -28,7 +26,6 @@ class PluggedAgent(Brain):
         super().__init__(config)
         self._fence = law_fence(config, law, self._notes)
         agent_class = load("agent", law)
-        self._resumable = resumable(agent_class)
         self._user = self._fence.make(agent_class, config, law.parameters)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
@@ -73,16 +70,3 @@ class PluggedAgent(Brain):
     def counters(self) -> dict[str, int]:
         """None: what a user's agent counts is in its telemetry."""
         return {}
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on; the agent's own is None when it has no state(), or has failed.
-        Raises ControllerError if its state() raised, took too long, or returned what a log cannot hold.
-        """
-        own = self._fence.remembered(self._user.state) if self._resumable and not self._failed else None
-        return {"last_tick": self._last_tick, "failed": self._failed, "agent": own}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        self._last_tick = values["last_tick"]
-        self._failed = values["failed"]
-        if self._resumable and not self._failed:
-            self._user.restore(values["agent"])

@@ -148,7 +148,7 @@ def main(files: int, kills: int, seed: int) -> None:
         begin, command = folder / "begin", [sys.executable, "-m", "fleet"]
         begin.mkdir()
         made = [
-            ["run", "lossy", "--in-process", "-o", folder / "runs", *SHORT, "--set", "log.snapshot=500 ms"],
+            ["run", "lossy", "--in-process", "-o", folder / "runs", *SHORT, "--set"],
             [*STUDY, "--seeds", "2", "-o", folder / "made"],
         ]
         for arguments in made:

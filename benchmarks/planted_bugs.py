@@ -71,7 +71,7 @@ class Core:
 # to recover make the sound ones fail, too.
 _EPISODES = "nemesis={mode: episodes%s}"
 _GRID = "nemesis={every: %s, for: %s, until: %s, pick: [%s]}"
-_COMMON = ("duration=60 s", "tick=100 ms", "log={every: 1 tick, snapshot: 0 s}", "faults=[]", "expect=pass")
+_COMMON = ("duration=60 s", "tick=100 ms", "log={every: 1 tick}", "faults=[]", "expect=pass")
 _PLACES = "[[10, 0, 10], [20, 0, 10], [10, 12, 10], [10, -12, 10], [20, 12, 10], [20, -12, 10]]"
 
 

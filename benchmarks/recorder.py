@@ -14,7 +14,6 @@ from fleet.logs.reader import LogReader
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import Event
@@ -46,12 +45,9 @@ class Calls:
     def event(self, event: Event) -> None:
         self.all.append(("event", (event,)))
 
-    def snapshot(self, snapshot: Snapshot) -> None:
-        self.all.append(("snapshot", (snapshot,)))
-
     def repeat(self, log: LogWriter) -> None:
         """Tell a log writer the same."""
-        methods = {name: getattr(log, name) for name in ("frame", "packet", "event", "snapshot")}
+        methods = {name: getattr(log, name) for name in ("frame", "packet", "event")}
         for name, arguments in self.all:
             methods[name](*arguments)
 

@@ -137,7 +137,7 @@ def measure_scale(
     """
     for n in sizes:
         ticks = LEAST_TICKS if quick else min(max(AGENT_TICKS // n, LEAST_TICKS), MOST_TICKS)
-        settings = [f"vehicles={n}", f"tick={tick}", "log.snapshot=0 s", "checks={tumbled: waived}"]
+        settings = [f"vehicles={n}", f"tick={tick}", "checks={tumbled: waived}"]
         settings.append(f"agents.per_process={per_process}")
         tick_ns = load_scenario("paper", settings).tick_ns
         scenario = load_scenario("paper", [*settings, f"duration={ticks * tick_ns / 1e9:g} s"])

@@ -183,7 +183,7 @@ def _arguments(vehicles: int, seconds: float) -> list[str]:
         *("--set", f"vehicles={vehicles}"),
         *("--set", f"duration={seconds} s"),
         *("--set", f"nemesis={{every: 5 s, for: 4 s, until: {seconds - 5} s, pick: {PICK}}}"),
-        *("--set", "log={every: 100 ticks, snapshot: 0 s}"),
+        *("--set", "log={every: 100 ticks}"),
         *("--set", "checks={ledger: balanced, middleware_loss: {at_most: 0}, tumbled: waived}"),
     ]
 

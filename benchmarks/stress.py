@@ -56,15 +56,15 @@ def measure_stress(sizes: Sequence[int], suspend_s: float, say: Callable[[str], 
         folder = Path(name)
         for n in sizes:
             say(f"{n} agents")
-            arguments = ["paper", *_sets(f"vehicles={n}", "duration=1 s", "log.snapshot=0 s", CHECKS)]
+            arguments = ["paper", *_sets(f"vehicles={n}", "duration=1 s", CHECKS)]
             rows.append(_row(folder, f"{n} agents, 1 s", arguments, None))
         # Who waits for whom: a console that takes nothing, a world that cannot put, an agent that fills its queue.
         n, (what, *_) = min(sizes), FLOODS
         title = f"{n} agents, one floods: {what}; console suspended {suspend_s:g} s"
         say(title)
-        both = _sets(f"vehicles={n}", "duration=3 s", "log.snapshot=0 s", "stall_timeout=120 s", CHECKS)
+        both = _sets(f"vehicles={n}", "duration=3 s", "stall_timeout=120 s", CHECKS)
         rows.append(_row(folder, title, ["paper", *both], _Flood(what, suspend_s), more=_external()))
-        arguments = ["paper", *_sets("duration=20 s", "log.snapshot=0 s", CHECKS)]
+        arguments = ["paper", *_sets("duration=20 s", CHECKS)]
         alone = _run(folder, "alone", arguments, None)[1]
         say("floods")
         for what in FLOODS:
@@ -73,7 +73,7 @@ def measure_stress(sizes: Sequence[int], suspend_s: float, say: Callable[[str], 
         say(f"console suspended for {suspend_s:g} s")
         rows.append(_row(folder, f"console suspended {suspend_s:g} s", arguments, _Suspension(suspend_s), alone))
         say("a reader that never reads")
-        published = ["paper", *_sets("duration=60 s", "log.snapshot=0 s", CHECKS), "--publish"]
+        published = ["paper", *_sets("duration=60 s", CHECKS), "--publish"]
         alone = _run(folder, "alone", published, None)[1]
         waiting = ["--wait-for-subscribers"]
         rows.append(_row(folder, "--publish, a reader that never reads", published, _Reader(), alone, waiting))

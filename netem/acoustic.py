@@ -43,10 +43,6 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Sequence
-from typing import Any
-
-import msgspec
-from msgspec import Struct
 
 from netem.access import Access
 from netem.air import Air
@@ -54,24 +50,11 @@ from netem.config import NetemConfig
 from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults
 from netem.link_trace import TRY
-from netem.medium import Links, MediumRound, Place
-from netem.ranges import Kept, Query, make_ranges
-from netem.station import ANSWER, Answer, Burst, Reception, Station, Transfer, Waiting
+from netem.medium import Links, MediumRound
+from netem.ranges import Query, make_ranges
+from netem.station import ANSWER, Answer, Reception, Station, Transfer, Waiting
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
-
-
-class _State(Struct, omit_defaults=True):
-    """The acoustic channel's part of the state of the network."""
-
-    stations: list[Station]
-    places: list[tuple[int, Place]]
-    air: list[Burst]
-    receptions: list[Reception]
-    transfers: list[tuple[int, Transfer]] = []
-    answers: list[Answer] = []
-    queries: list[Query] = []
-    kept: list[Kept] = []
 
 
 class AcousticChannel:
@@ -368,27 +351,12 @@ class AcousticChannel:
         """The first tick at or after the end of a reception, and after its start tick; `extra_ns` is not included."""
         return max(r.start_tick + 1, -(-r.end_ns // self._config.tick_ns))
 
-    # ---------------------------------------------------------------------------------- the state
-
-    def state(self) -> dict[str, Any]:
-        """The part of the channel's state that determines the rest of the run, as plain values."""
-        state = _State(
-            [*self._stations.values()], sorted(self._air.places.items()), self._air.bursts, self._receptions,
-            sorted(self._transfers.items()), self._answers,
-            self._ranges.queries, self._ranges.kept,
-        )  # fmt: skip
-        values: dict[str, Any] = msgspec.to_builtins(state, builtin_types=(bytes,))
-        return values
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Set the state from values that `state` returned. Raises msgspec.ValidationError: the values have another
-        form."""
-        state = msgspec.convert(values, _State)
-        self._stations = {station.vehicle: station for station in state.stations}
-        self._air.places, self._air.bursts = dict(state.places), state.air
-        self._receptions = state.receptions
-        self._transfers, self._answers = dict(state.transfers), state.answers
-        self._ranges.queries, self._ranges.kept = state.queries, state.kept
+    def take_over(self, before: AcousticChannel) -> None:
+        """Go on with what is in the modems and in the water of another run; the channel is our own."""
+        self._stations, self._receptions = before._stations, before._receptions
+        self._transfers, self._answers = before._transfers, before._answers
+        self._air.places, self._air.bursts = before._air.places, before._air.bursts
+        self._ranges.queries, self._ranges.kept = before._ranges.queries, before._ranges.kept
 
 
 def _lost(r: Reception, tick: int, cause: Cause) -> Fate:

@@ -80,14 +80,10 @@ class Ages:
         if fate.cause == Cause.DELIVERED and not fate.corrupted:
             self.links[fate.src, fate.dst].hear(fate.sent_tick, fate.due_tick)
 
-    def heard(self) -> list[list[int]]:
-        """[src, dst, newest tick of sending that arrived] of each link."""
-        return [[*link, age.heard] for link, age in self.links.items()]
-
-    def resume(self, tick: int, heard: list[list[int]]) -> None:
-        """Count from a tick on, with the messages that had been heard by then."""
-        for src, dst, sent in heard:
-            self.links[src, dst] = InformationAge(sent, tick, tick)
+    def begin(self, tick: int, before: Ages) -> None:
+        """Count from a tick on, with the messages that another count had heard by then."""
+        for link, age in before.links.items():
+            self.links[link] = InformationAge(age.heard, tick, tick)
 
     def count(self, until: int) -> None:
         """Count the ticks below `until`; every fate that was final before it has been taken."""

@@ -62,7 +62,7 @@ class Condition:
 
 
 def condition_values(condition: Condition) -> dict[str, Any]:
-    """A condition as plain values; the loss model as [name, values], which is how snapshots in logs have it."""
+    """A condition as plain values; the loss model as [name, values], as the console sends it."""
     values: dict[str, Any] = msgspec.to_builtins(condition)
     if (model := values["loss_model"]) is not None:
         values["loss_model"] = [model.pop("type"), model]

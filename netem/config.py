@@ -26,7 +26,6 @@ class NetemConfig:
     conditions: dict[Link, Condition] = field(default_factory=dict)
     faults: tuple[NetFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent: restarts count incarnations
-    memory_ticks: int = 0  # ticks between two snapshots of its state; 0: none
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
     acoustic: AcousticConfig | None = None  # in the water; None: links of their own
     changing: dict[Link, LinkStates | LinkTrace] = field(default_factory=dict)  # in place of a condition

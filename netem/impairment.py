@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from statistics import NormalDist
 from struct import Struct
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from netem.condition import Condition, FourState, GilbertElliott, Link
 from netem.draws import bits, packed, unit
@@ -63,33 +63,24 @@ class LinkMemory:
     since_reordered: int = 0  # packets since the last one that was sent at once
     leaving_ns: list[int] = field(default_factory=list)  # when each packet in the queue leaves, ascending
 
-    def to_values(self) -> list[Any]:
-        last = sorted(map(list, self.last.items()))
-        return [last, self.loss_model, self.loss_state, self.since_reordered, list(self.leaving_ns)]
-
-    @classmethod
-    def from_values(cls, values: list[Any]) -> LinkMemory:
-        last, model, loss_state, since, leaving = values
-        return cls(dict(last), model, loss_state, since, list(leaving))
-
 
 class LinkModel:
     """One directed link: its condition, which may change at any time, and what it remembers."""
 
     __slots__ = ("_key", "_link", "_seed", "_seed_in_use", "_state", "_used", "condition")
 
-    def __init__(self, condition: Condition, seed: int, link: Link, state: LinkMemory | None = None) -> None:
+    def __init__(self, condition: Condition, seed: int, link: Link) -> None:
         self.condition = condition  # the link's own
         self._seed = seed
         self._link = link
-        self._state = state or LinkMemory()
+        self._state = LinkMemory()
         self._seed_in_use = seed
         self._key = packed(seed, *link)  # the beginning of the key of all draws
         self._use(condition)
 
-    @property
-    def state(self) -> LinkMemory:
-        return self._state
+    def take_over(self, before: LinkModel) -> None:
+        """Go on with what another model of the same link remembers."""
+        self._state = before._state
 
     def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[LinkOutcome]:
         """The outcome of packet `seq`, sent at `now_ns`; a second outcome if the link duplicates it. `over` is the

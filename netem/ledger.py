@@ -5,7 +5,7 @@ sent + duplicated = delivered + sum(lost by cause) + in flight at the end
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 import msgspec
@@ -60,10 +60,6 @@ class Ledger:
         account = self.accounts[link]
         account.sent += sent
         account.duplicated += duplicated
-
-    def restore(self, link: Link, values: Mapping[str, Any]) -> None:
-        """Go on with the account of a link as `Account.to_values` wrote it."""
-        self.accounts[link] = msgspec.convert(values, Account)
 
     def settle(self, fates: Iterable[Fate]) -> None:
         """Count final fates. Raises KeyError: a fate names a link that does not exist; ValueError: a fate's cause is

@@ -54,6 +54,11 @@ class Lives:
         self.absences.append(absence)
         self._add_up(absence.vehicle)
 
+    def leave_out(self, absence: Absence) -> None:
+        """Drop an absence, which has not begun."""
+        self.absences.remove(absence)
+        self._add_up(absence.vehicle)
+
     def end(self, i: int, tick: int, until: int | None = None) -> None:
         """Vehicle i's agent ended at a tick on its own. `tick`: the first tick without the agent. `until`: another
         agent takes over at this tick. None: the next planned restart brings the agent back."""

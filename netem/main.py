@@ -27,7 +27,7 @@ from netem.rounds import Rounds
 from netem.vehicle_clock import Clock
 from netem.wire.access import NETEM, Credentials, Members
 from netem.wire.bundles import Hosts
-from netem.wire.bus import PART_BYTES, Bus, Respond, pieces, split
+from netem.wire.bus import PART_BYTES, Bus, Respond, split
 from netem.wire.codec import encode, expect
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
@@ -179,12 +179,9 @@ class NetworkProcess(ABC, Generic[R]):
             self._hosts.put(host, messages)
 
     def _report(self, report: LinkReport) -> None:
-        memory = pieces(report.memory, PART_BYTES)
-        parts = [replace(report, fates=tuple(part), memory=b"") for part, _ in split(report.fates, _bytes, PART_BYTES)]
-        parts += [replace(report, fates=(), memory=piece) for piece in memory]
-        for number, part in enumerate(parts, start=1):
+        for fates, more in split(report.fates, _bytes, PART_BYTES):
             self._counts["sent"]["links"] += 1
-            self._links(encode(replace(part, more=number < len(parts))))
+            self._links(encode(replace(report, more=more, fates=tuple(fates))))
 
     def _control(self, data: bytes, respond: Respond) -> None:
         request = read_map(data)

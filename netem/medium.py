@@ -39,6 +39,15 @@ class Links:
         self.next_seq: dict[Link, int] = dict.fromkeys(config.links, 0)
         self.ledger = Ledger(config.links)
 
+    def take_over(self, before: Links) -> None:
+        """Go on from the links of another run: what they remember, their numbers and counts; not their conditions."""
+        for link, model in self.models.items():
+            model.take_over(before.models[link])
+        for i, radio in self.radios.items():
+            if i in before.radios:
+                radio.take_over(before.radios[i])
+        self.next_seq, self.ledger = before.next_seq, before.ledger
+
     def number(self, link: Link) -> int:
         """The number of the next payload on a link, from 0; each is given once."""
         seq = self.next_seq[link]
@@ -129,11 +138,8 @@ class Medium(Protocol):
     def close(self, end_tick: int) -> None:
         """Hand over everything that the medium still holds when the run ends."""
 
-    def state(self) -> dict[str, Any]:
-        """Everything of its own that determines the rest of the run, as plain values."""
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """The inverse of `state`."""
+    def take_over(self, before: Any) -> None:
+        """Go on from the medium of another run on the same graph, which is of the same kind."""
 
 
 class IndependentLinks:
@@ -183,9 +189,5 @@ class IndependentLinks:
     def close(self, end_tick: int) -> None:
         """Links hold nothing back."""
 
-    def state(self) -> dict[str, Any]:
-        """Nothing beyond the state of the links, which the network writes."""
-        return {}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """The inverse of `state`."""
+    def take_over(self, before: IndependentLinks) -> None:
+        """Links remember nothing beyond what `Links` has."""

@@ -8,21 +8,17 @@ never changes afterwards. On an ideal network (`NetemConfig.ideal`) a packet is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from operator import attrgetter, itemgetter
-from typing import Any, NamedTuple
-
-import msgspec
-from msgspec import Struct
+from operator import attrgetter
+from typing import NamedTuple
 
 from netem.acoustic import AcousticChannel
-from netem.condition import Condition, Link, condition_from_values, condition_values
+from netem.condition import Link
 from netem.config import NetemConfig
-from netem.faults import NetFault, active_faults, fault_from_values, fault_values
-from netem.impairment import LinkMemory, LinkModel
+from netem.faults import NetFault, active_faults
 from netem.medium import IndependentLinks, Medium, MediumRound, Place, make_links
-from netem.transit import HeldPacket, PendingPacket, Transit
+from netem.transit import PendingPacket, Transit
 from netem.vehicle_clock import Clocks
-from netem.wire.messages import Delivery, Fate, MeasuredRange
+from netem.wire.messages import Delivery, Fate
 
 # The order of packet records in the log.
 fate_order = attrgetter("final_tick", "src", "dst", "seq", "copy")
@@ -35,22 +31,6 @@ class Exchange(NamedTuple):
     fates: tuple[Fate, ...]
 
 
-class _State(Struct, omit_defaults=True):
-    """The fields that `Netem.state` writes, without the medium's part."""
-
-    round: int
-    faults: list[list[Any]]
-    next_seq: list[tuple[int, int, int]]
-    links: list[tuple[int, int, dict[str, Any], list[Any]]]
-    pending: list[PendingPacket]
-    announced: list[PendingPacket]
-    unheard: list[Fate]
-    ledger: list[tuple[int, int, dict[str, Any]]]
-    ranges: list[tuple[tuple[int, int, int, int], MeasuredRange]] = []
-    held: list[HeldPacket] = []
-    radios: list[tuple[int, list[Any]]] = []
-
-
 class Netem:
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
@@ -60,7 +40,6 @@ class Netem:
         self._transit = Transit(config)
         make = IndependentLinks if config.acoustic is None else AcousticChannel
         self._medium: Medium = make(config, self._links, self._transit)
-        self._round = -1
 
     @property
     def faults(self) -> tuple[NetFault, ...]:
@@ -108,7 +87,6 @@ class Netem:
         if ideal:
             fates = transit.settle(tick)
         transit.lost += unheard
-        self._round = tick
         return Exchange(inboxes, self._book(fates))
 
     def close(self, end_tick: int) -> tuple[Fate, ...]:
@@ -116,56 +94,21 @@ class Netem:
         self._medium.close(end_tick)
         return self._book(self._transit.close(end_tick))
 
-    def set_condition(self, link: Link, condition: Condition) -> None:
-        """Change a link from now on; what is on its way, and what the link remembers, stays."""
-        self._links.models[link].condition = condition
-
-    def condition(self, link: Link) -> Condition:
-        return self._links.models[link].condition
-
     def _book(self, fates: list[Fate]) -> tuple[Fate, ...]:
         fates.sort(key=fate_order)
         self._links.ledger.settle(fates)
         return tuple(fates)
 
-    def state(self) -> dict[str, Any]:
-        """Everything that determines the rest of the run, as plain values."""
-        links, transit = self._links, self._transit
-        state = _State(
-            self._round,
-            [fault_values(fault) for fault in self.faults],
-            [(src, dst, seq) for (src, dst), seq in sorted(links.next_seq.items())],
-            [(*link, condition_values(m.condition), m.state.to_values()) for link, m in sorted(links.models.items())],
-            [packet for i in sorted(transit.pending) for packet in sorted(transit.pending[i])],
-            transit.announced,
-            transit.lost,
-            [(*link, account.to_values()) for link, account in links.ledger.accounts.items()],
-            sorted(transit.ranges.items(), key=itemgetter(0)),
-            [held for link in sorted(transit.held) for held in transit.held[link]],
-            [(i, radio.state.to_values()) for i, radio in sorted(links.radios.items())],
-        )
-        values: dict[str, Any] = msgspec.to_builtins(state, builtin_types=(bytes,))
-        return values | self._medium.state()
+    def settle(self, tick: int) -> tuple[Fate, ...]:
+        """The fates up to a tick that are not yet reported, before the round behind it reports them."""
+        return self._book(self._transit.settle(tick))
 
-    def restore(self, values: dict[str, Any]) -> None:
-        """The inverse of `state`, into a core built from the same configuration. Raises msgspec.ValidationError: they
-        are no such values."""
-        state, links, transit = msgspec.convert(values, _State), self._links, self._transit
-        self._round = state.round
-        self.faults = tuple(fault_from_values(fault) for fault in state.faults)
-        links.next_seq = {(src, dst): seq for src, dst, seq in state.next_seq}
-        for src, dst, condition, memory in state.links:
-            link, restored = (src, dst), LinkMemory.from_values(memory)
-            links.models[link] = LinkModel(condition_from_values(condition), self.config.seed, link, restored)
-        for i, memory in state.radios:
-            links.radios[i] = LinkModel(self.config.radios[i], self.config.seed, (i, 0), LinkMemory.from_values(memory))
-        for src, dst, account in state.ledger:
-            links.ledger.restore((src, dst), account)
-        transit.pending = {i: [] for i in self.config.vehicles}
-        for packet in state.pending:
-            transit.pending[packet.dst].append(packet)  # sorted, and a sorted list is a heap
-        transit.held = {}
-        for held in state.held:
-            transit.hold(held)
-        transit.announced, transit.lost, transit.ranges = state.announced, state.unheard, dict(state.ranges)
-        self._medium.restore(values)
+    def under_way(self) -> list[PendingPacket]:
+        """The packets that will arrive and have no final fate yet."""
+        return [*self._transit.announced, *(packet for queue in self._transit.pending.values() for packet in queue)]
+
+    def take_over(self, before: Netem) -> None:
+        """Go on at a round from the network of another run on the same graph. Conditions and faults are our own."""
+        self._links.take_over(before._links)
+        self._transit.take_over(before._transit)
+        self._medium.take_over(before._medium)

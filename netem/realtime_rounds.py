@@ -39,7 +39,7 @@ class RealtimeRounds:
 
     def __init__(self, config: NetemConfig) -> None:
         self.config = config
-        every_tick = replace(config, round_ticks=1, memory_ticks=0)
+        every_tick = replace(config, round_ticks=1)
         self.netem = Netem(every_tick)
         self.lives = Lives(config.absences)
         self.late = dict.fromkeys(config.vehicles, 0)  # transmissions that entered after their tick
@@ -112,7 +112,7 @@ class RealtimeRounds:
                 inboxes.append((i, Inbox(incarnation, tick + 1, False, deliveries)))
         if tick % self.config.round_ticks:
             return inboxes, None
-        report = LinkReport(tick, False, False, tuple(self._fates), b"")
+        report = LinkReport(tick, False, False, tuple(self._fates))
         self._fates = []
         return inboxes, report
 
@@ -148,7 +148,7 @@ class RealtimeRounds:
         """The last report, after every tick that was not exchanged yet."""
         while self._tick < end_tick and self._round is not None:
             self._advance()
-        return LinkReport(end_tick, True, False, (*self._fates, *self.netem.close(end_tick)), b"")
+        return LinkReport(end_tick, True, False, (*self._fates, *self.netem.close(end_tick)))
 
     def timing(self) -> dict[str, Any]:
         """The measured times of the agents and of the network itself, as plain values."""

@@ -142,7 +142,7 @@ class Relay:
         message that is longer than a packet is sent as several, which must all arrive.
         """
         water = config.acoustic is not None
-        self.config = config = replace(config, ideal=not water, round_ticks=1, memory_ticks=0)
+        self.config = config = replace(config, ideal=not water, round_ticks=1)
         self.faults = config.faults
         self.late = Histogram()  # how much later than due messages were handed over
         self.places: dict[int, Place] = {}

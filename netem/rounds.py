@@ -9,12 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgpack
-
 from netem.config import NetemConfig
 from netem.errors import OutOfPlace
 from netem.lives import Lives
-from netem.medium import PERFECT
 from netem.network import Netem
 from netem.wire.messages import Inbox, LinkReport, Round, Transmission
 
@@ -69,7 +66,6 @@ class Rounds:
         have = self._transmissions.get(tick, {})
         if speakers is None or len(have) < len(speakers) or any(i not in have for i in speakers):
             return None
-        memory = self._memory(tick)
         where = self._alive.pop(tick, None)
         self._transmissions.pop(tick, None)
         positions = None if where is None else dict(zip(where.alive, where.positions, strict=True))
@@ -79,7 +75,7 @@ class Rounds:
         out = [
             (i, Inbox(self.lives.incarnation(i, tick), until, False, deliveries)) for i, deliveries in inboxes.items()
         ]
-        return out, LinkReport(tick, False, False, fates, memory)
+        return out, LinkReport(tick, False, False, fates)
 
     def _speakers(self, tick: int) -> list[int] | None:
         where = self._alive.get(tick)
@@ -87,24 +83,13 @@ class Rounds:
 
     def close(self, end_tick: int) -> LinkReport:
         """The last report of a run that ended before tick `end_tick` was started."""
-        return LinkReport(end_tick, True, False, self.netem.close(end_tick), b"")
+        return LinkReport(end_tick, True, False, self.netem.close(end_tick))
 
     def timing(self) -> dict[str, Any]:
         """Empty: in lockstep nothing is late."""
         return {}
 
-    def resume(self, tick: int, memory: dict[str, Any]) -> None:
-        """Go on at a round tick with the state that another run of the same graph had before it."""
-        faults = self.netem.faults
-        self.netem.restore(memory | {"faults": []})
-        self.netem.faults = faults
-        for link in self.config.links:
-            self.netem.set_condition(link, self.config.conditions.get(link, PERFECT))
-        self._next = tick
-
-    def _memory(self, tick: int) -> bytes:
-        every = self.config.memory_ticks
-        if not every or tick % every or tick == 0:
-            return b""
-        packed: bytes = msgpack.packb({key: value for key, value in self.netem.state().items() if key != "faults"})
-        return packed
+    def take_over(self, before: Rounds) -> None:
+        """Go on at the next round from the network of another run on the same graph."""
+        self.netem.take_over(before.netem)
+        self._next = before._next

@@ -82,6 +82,11 @@ class Transit:
         self.held: dict[Link, list[HeldPacket]] = {}  # by faults, in the order of sending
         self._reversed: set[tuple[int, int, int, int]] = set()  # released, and in no inbox yet
 
+    def take_over(self, before: Transit) -> None:
+        """Go on with what is under way in another run."""
+        self.pending, self.announced, self.lost = before.pending, before.announced, before.lost
+        self.ranges, self.held, self._reversed = before.ranges, before.held, before._reversed
+
     def add(self, packet: PendingPacket, measured: MeasuredRange | None = None) -> None:
         heapq.heappush(self.pending[packet.dst], packet)
         if measured is not None:

@@ -60,8 +60,6 @@ class Plant(Protocol):
     * `model: ClassVar[str]`: the vehicle file (as `vehicle.model`) that the controllers use if the scenario names none;
     * `signals: ClassVar[tuple[Signal, ...]]` and `report(state) -> Mapping`: further reported values, such as propeller
       revolutions. `report` returns a number, or `width` numbers, for each name;
-    * `state()` and `restore(values)`: the memory that cannot be in the state, as plain values (None, bool, int, float,
-      str, bytes, list, dict). If a plant has both, the log holds its memory, and a resumed run restores it;
     * `close()`: ends everything that it holds, such as a process. It is not used afterwards. In a distributed run the
       world's process ends without this call, and everything that the plant holds must end with it.
     """

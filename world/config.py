@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 from netem.lives import Absence
 from netem.vehicle_clock import VehicleClock
@@ -51,45 +51,6 @@ class VehicleParams:
             self.Iy - self.beta_qdot,
             self.Iz - self.beta_rdot,
         )
-
-
-# --- run memory: the world's memory of a run before a tick. Another run can continue from it.
-# As MessagePack a memory is a map with one key, `vehicles`: an array of `VehicleMemory`, ascending by number.
-
-
-DIVERGED = "diverged"
-
-
-class Tumbling(NamedTuple):
-    """How often a vehicle has tumbled, and when the last time."""
-
-    tumbled: int  # 1 while it is tumbled, else 0
-    number: int  # how often it has tumbled, this time included
-    since: int  # tick at which it began the last time
-
-
-class VehicleMemory(NamedTuple):
-    """One vehicle before a tick."""
-
-    vehicle: int  # its number
-    motion: list[Any]  # of `World.memory`
-    tau: list[float]  # the last command that took effect [N, N m]
-    delayed: list[list[Any]]  # [tick, tau] of commands that wait because the agent is slow
-    condition: str | list[int] | bool  # DIVERGED, a `Tumbling`, or False; logs of old versions have True as well
-    agent: bytes | None  # what its agent remembers; none without an agent; None: the agent has not sent it yet
-
-    @property
-    def diverged(self) -> bool:
-        return self.condition == DIVERGED
-
-    @property
-    def tumbling(self) -> Tumbling | None:
-        """How it tumbled; None: it has not, or it diverged."""
-        return Tumbling(*self.condition) if isinstance(self.condition, list) else None
-
-
-def vehicle_memories(memory: dict[str, Any]) -> Iterator[VehicleMemory]:
-    return map(VehicleMemory._make, memory["vehicles"])
 
 
 # RK4 steps per tick. At a tick of 10 ms one step stays within 4e-7 of a converged velocity in the paper's
@@ -165,7 +126,6 @@ class WorldConfig:
     noise: NavNoise = field(default_factory=NavNoise)
     faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
-    memory_ticks: int = 0  # all that world and agents remember is in a frame every so many ticks; 0: never
     clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set
     moored: bool = False  # vehicles stay where they begin
     keep_going: bool = False  # the run goes on without a vehicle whose motion leaves the finite numbers

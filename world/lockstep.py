@@ -7,14 +7,12 @@ round's end until everyone has transmitted. A frame leaves once every vehicle is
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
-import msgpack
+from typing import NamedTuple
 
 from netem.errors import OutOfPlace
 from netem.wire.codec import encode
-from netem.wire.messages import Command, Frame, Memory, Nav, Round
-from world.config import VehicleMemory, WorldConfig
+from netem.wire.messages import Command, Frame, Nav, Round
+from world.config import WorldConfig
 from world.run_state import NOT_SENSED, RunState
 from world.vectors import ZERO, Vec3
 
@@ -39,9 +37,7 @@ class Lockstep:
         self._decided: dict[int, int] = {}  # round tick -> how many vehicles are past it, with an agent or without
         self._positions: dict[int, dict[int, tuple[float, ...]]] = {}  # of those with an agent, by round tick
         self._paused: dict[int, list[int]] = {}  # round tick -> those that are suspended in it
-        self._memories: dict[int, dict[int, VehicleMemory]] = {}  # by tick and vehicle, before that tick
-        self._memory_ticks, self._round_ticks = config.memory_ticks, config.round_ticks
-        self._agents: dict[int, bytes] = {}  # what an agent remembers, sent before the command that it owes
+        self._round_ticks = config.round_ticks
 
     @property
     def waiting_for(self) -> list[tuple[int, int]]:
@@ -70,7 +66,6 @@ class Lockstep:
             return []
         nav = self._awaiting.pop(i, None)
         tick = state.tick_of(i) if nav is None else nav.tick
-        self._complete_memory(i, tick, b"")
         state.lives.end(i, tick, until)
         out: list[Out] = []
         self._start(i, out)
@@ -89,8 +84,6 @@ class Lockstep:
             raise OutOfPlace("tick", nav.tick, command.tick)
         del self._awaiting[i]
         world, k = state.world, nav.tick
-        if (known := self._agents.pop(i, None)) is not None:
-            self._complete_memory(i, k, known)
         place = world.position(i)
         tau = world.actuate(i, state.effective(i, k, command.tau))
         if state.frames.due(k):
@@ -101,32 +94,9 @@ class Lockstep:
         self._start(i, out)
         return self._with_frames(out)
 
-    def remember(self, i: int, memory: Memory) -> None:
-        """Take what agent i remembers before the command that it owes. Raises OutOfPlace if it owes none then."""
-        nav = self._awaiting.get(i)
-        if nav is None or (memory.incarnation, memory.tick) != (nav.incarnation, nav.tick):
-            raise OutOfPlace("memory of tick", "none" if nav is None else nav.tick, memory.tick)
-        self._agents[i] = memory.state
-
-    def resume(self, tick: int, memory: dict[str, Any]) -> None:
-        """Go on at a tick with what was remembered before it in another run of the same vehicles."""
-        self.state.resume(tick, memory)
-
-    def _note_memory(self, i: int, k: int, *, asked: bool) -> None:
-        if self._memory_ticks and k % self._memory_ticks == 0 and k:
-            vehicles = self._memories.setdefault(k, {})
-            if (known := self.state.memory(i, None if asked else b"")) is not None:
-                vehicles[i] = known
-
-    def _complete_memory(self, i: int, k: int, agent: bytes) -> None:
-        if (vehicles := self._memories.get(k)) is not None and i in vehicles:
-            vehicles[i] = vehicles[i]._replace(agent=agent)
-
-    def _take_memory(self, k: int) -> bytes:
-        """All that is to be remembered before tick k; nothing if an agent has not sent its own, or is suspended."""
-        vehicles = self._memories.pop(k, {})
-        whole = len(vehicles) == len(self.state.ids) and all(v.agent is not None for v in vehicles.values())
-        return msgpack.packb({"vehicles": [vehicles[i] for i in self.state.ids]}) if whole else b""
+    def take_over(self, tick: int, before: Lockstep) -> None:
+        """Go on at a tick with the vehicles of another run, which have reached it."""
+        self.state.take_over(tick, before.state)
 
     def _pass(self, i: int, k: int, tau: Vec3, alive_at: Vec3 | None, out: list[Out], *, paused: bool = False) -> None:
         """Take vehicle i over tick k; `alive_at` is where it is if it has an agent."""
@@ -150,7 +120,6 @@ class Lockstep:
         k = world.tick(i)
         while k < state.granted and i not in self._awaiting:
             absent = state.enter_tick(i, k)
-            self._note_memory(i, k, asked=not absent)
             if not absent and not world.paused(i, k):
                 self._awaiting[i] = nav = state.nav(i, state.life[i], k)
                 out.append(NavTo(i, nav))
@@ -163,5 +132,5 @@ class Lockstep:
             k += 1
 
     def _with_frames(self, out: list[Out]) -> list[Out]:
-        out += self.state.frames.complete(self._take_memory)
+        out += self.state.frames.complete()
         return out

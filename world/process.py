@@ -19,7 +19,7 @@ from netem.lives import Absence
 from netem.wire.access import WORLD as WORLD
 from netem.wire.access import Members, agent_role, host_role
 from netem.wire.bundles import Hosts
-from netem.wire.bus import PART_BYTES, Bus, Respond, pieces, split
+from netem.wire.bus import PART_BYTES, Bus, Respond, split
 from netem.wire.codec import encode, expect
 from netem.wire.keys import Keys, vehicle_of
 from netem.wire.messages import (
@@ -32,7 +32,6 @@ from netem.wire.messages import (
     Frames,
     Grant,
     Hello,
-    Memory,
     Message,
     Nav,
     Restart,
@@ -210,7 +209,7 @@ class WorldProcess:
         self._refusals.report_to(lambda text: self._shell.note(0, min(map(self._state.tick_of, self._ids)), text))
 
     def _listen(self, bus: Bus, ends: socket | None) -> None:
-        # Commands and grants: an agent owes one at a time, and its memory now and then.
+        # Commands and grants: an agent owes one at a time.
         capacity = max(64, 3 * len(self._ids))
         self._in = channel = bus.channel(self._keys.cmd("*"), capacity=capacity)
         if ends is not None:
@@ -300,7 +299,7 @@ class WorldProcess:
             self._publish(out)  # also when one vehicle cannot be moved: the others were
 
     def _from_agent(self, i: int, data: bytes) -> list[Out]:
-        message = expect(data, Command, Memory, Hello)
+        message = expect(data, Command, Hello)
         if i not in self._nav:
             raise MalformedMessage("cmd", f"no vehicle {i} in this run")
         if isinstance(message, Command):
@@ -309,9 +308,7 @@ class WorldProcess:
             out = self._take_command(i, message, data)
             self._received["cmd"] += 1
             return out
-        if isinstance(message, Memory):
-            self._run.remember(i, message)
-        elif isinstance(message, Hello):
+        if isinstance(message, Hello):
             _check_version(message)
             if message.echo:
                 self._ready.add((i, message.incarnation))
@@ -382,14 +379,10 @@ class WorldProcess:
 
     def _add_frame(self, frame: Frame) -> None:
         lives, tumbles = frame.lives, frame.tumbles
-        memory = pieces(frame.memory, PART_BYTES // 2)
         for rows, more in split(frame.vehicles, _row_bytes, PART_BYTES):
-            part = Frame(frame.tick, more or bool(memory), lives, tumbles, tuple(rows), b"")
+            part = Frame(frame.tick, more, lives, tumbles, tuple(rows))
             self._add_part(part, sum(map(_row_bytes, rows)))
             lives, tumbles = (), ()
-        for number, piece in enumerate(memory, start=1):
-            self._flush_frames()
-            self._add_part(Frame(frame.tick, number < len(memory), (), (), (), piece), len(piece))
 
     def _add_part(self, part: Frame, size: int) -> None:
         if len(self._frames) >= FRAMES_PER_MESSAGE or self._frames_bytes + size > PART_BYTES:

@@ -24,7 +24,7 @@ from typing import Any
 
 from netem.errors import OutOfPlace
 from netem.wire.codec import encode
-from netem.wire.messages import Command, Memory, Nav, Round
+from netem.wire.messages import Command, Nav, Round
 from world.config import WorldConfig
 from world.lockstep import NavTo, Out
 from world.run_state import NOT_SENSED, RunState
@@ -161,9 +161,6 @@ class RealtimeRun:
         state.lives.end(i, tick, until)
         return []
 
-    def remember(self, i: int, memory: Memory) -> None:
-        """Drop what an agent remembers: no run goes on from one with a real clock."""
-
     def finish(self) -> list[Out]:
         """End the tick: every vehicle moves on with the commands that are there."""
         k = self._tick
@@ -188,7 +185,7 @@ class RealtimeRun:
             if state.frames.due(k):
                 state.frames.row(k, state.row(i, measured, tau, sent))
             state.integrate(i, k, tau)
-        return [*state.frames.complete(lambda tick: b"")]
+        return [*state.frames.complete()]
 
     def _count(self, i: int, *, in_time: bool) -> None:
         count = self.punctuality[i]

@@ -5,14 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from operator import attrgetter
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from netem.errors import OutOfPlace
 from netem.lives import Lives
 from netem.wire.messages import Command, Frame, Life, Nav, Tumble, VehicleFrame
-from world.config import DIVERGED, Tumbling, VehicleMemory, WorldConfig, vehicle_memories
+from world.config import WorldConfig
 from world.errors import IntegrationError
 from world.sea import World
 from world.tumble import tumbles
@@ -53,12 +53,13 @@ class FrameAssembly:
     def tumble(self, tumble: Tumble) -> None:
         self._tumbles.setdefault(self._frame_of(tumble.tick), []).append(tumble)
 
-    def resume(self, tick: int) -> None:
+    def begin(self, tick: int) -> None:
+        """Begin with the frame of this tick."""
         self._tumbles.clear()
         self._next = tick
 
-    def complete(self, memory: Callable[[int], bytes]) -> list[Frame]:
-        """The frames that have become complete, in order. `memory`: gives what the run remembers before a tick."""
+    def complete(self) -> list[Frame]:
+        """The frames that have become complete, in order."""
         frames = []
         while (rows := self._rows.get(self._next)) is not None and len(rows) == self._vehicles:
             tick, last = self._next, self._ticks
@@ -66,7 +67,7 @@ class FrameAssembly:
             rows.sort(key=attrgetter("id"))
             lives = _in_order(self._lives.pop(tick, ()))
             tumbles = _in_order(self._tumbles.pop(tick, ()))
-            frames.append(Frame(tick, False, lives, tumbles, tuple(rows), memory(tick)))
+            frames.append(Frame(tick, False, lives, tumbles, tuple(rows)))
             self._next = min(last, tick + self._every) if tick < last else last + 1
         return frames
 
@@ -212,42 +213,24 @@ class RunState:
         fixes = () if navigation is None else navigation.take_fixes()
         return VehicleFrame(i, *world.state(i), sensed[0], tau, command, world.of_plant(i), clock, sensed[1], fixes)
 
-    def memory(self, i: int, agent: bytes | None) -> VehicleMemory | None:
-        """All that the next ticks of vehicle i depend on; None, with a note, where its plant cannot say that. `agent`:
-        what its agent remembers; None: that is still to come.
-        """
-        try:
-            motion = self.world.memory(i, moves=i not in self._diverged)
-        except IntegrationError as error:
-            self.notes.append((i, error.tick, f"error: {error.reason}; no snapshot is logged at this tick"))
-            return None
-        condition: str | list[int] | bool = False
-        if i in self._diverged:
-            condition = DIVERGED
-        elif i in self._tumblings:
-            condition = [*Tumbling(int(i in self._tumbled), *self._tumblings[i])]
-        delayed = [[tick, list(tau)] for tick, tau in sorted(self._delayed[i].items())]
-        return VehicleMemory(i, motion, list(self.tau[i]), delayed, condition, agent)
-
-    def resume(self, tick: int, memory: dict[str, Any]) -> None:
-        """Go on at a tick with what was remembered before it in another run of the same vehicles. `memory`: see
-        `world.config`.
-        """
-        self._tumbled.clear()
-        self._tumblings.clear()
-        for known in vehicle_memories(memory):
-            i = known.vehicle
-            self.world.remember(i, known.motion)
-            self.tau[i] = (known.tau[0], known.tau[1], known.tau[2])
-            self._delayed[i] = {k: (x, y, z) for k, (x, y, z) in known.delayed}
-            if known.diverged:
-                self._diverged.add(i)
-            elif (tumbling := known.tumbling) is not None:
-                self._tumblings[i] = (tumbling.number, tumbling.since)
-                self._tumbled |= {i} if tumbling.tumbled else set()
+    def take_over(self, tick: int, before: RunState) -> None:
+        """Go on at a tick with the vehicles of another run, which have reached it."""
+        self.world.take_over(before.world)
+        self.tau, self._delayed, self._diverged = before.tau, before._delayed, before._diverged
+        self._tumbled, self._tumblings = before._tumbled, before._tumblings
         self._absent = self._diverged | {i for i in self.ids if self.lives.without_agent(i, tick - 1)}
         self.life = {i: self.lives.incarnation(i, tick - 1) for i in self.ids}
-        self.frames.resume(tick)
+        self.frames.begin(tick)
+
+    @property
+    def tumbling(self) -> dict[int, tuple[int, int]]:
+        """Of the vehicles that are tumbled: how often each has tumbled, and since when."""
+        return {i: known for i, known in self._tumblings.items() if i in self._tumbled and i not in self._diverged}
+
+    @property
+    def diverged(self) -> list[int]:
+        """The vehicles that are not integrated any more."""
+        return sorted(self._diverged)
 
     def _watch_pitch(self, i: int, k: int, before: tuple[float, float], after: tuple[float, float]) -> None:
         tumbled = i in self._tumbled

@@ -40,9 +40,10 @@ def _purpose(fault: WorldFault) -> str:
 class _Vehicle:
     """One vehicle: its constants, its tick, and its state there; its plant, if it is one, knows more than that."""
 
-    __slots__ = ("k", "navigation", "plant", "state", "tau_max", "tick")
+    __slots__ = ("k", "navigation", "plant", "setup", "state", "tau_max", "tick")
 
     def __init__(self, setup: VehicleSetup, config: WorldConfig) -> None:
+        self.setup = setup
         self.k: Coefficients = coefficients(setup.params)
         self.tau_max: Vec3 = setup.tau_max
         self.tick: int = 0
@@ -60,6 +61,24 @@ class _Vehicle:
             l1, l2, l3 = self.plant.limits
             self.tau_max = min(t1, l1), min(t2, l2), min(t3, l3)
         self.navigation = navigation_of(setup.navigation, config.seed, setup.id, config.tick_ns, self.state)
+
+    def take_over(self, before: _Vehicle) -> None:
+        """Go on as another one did, which gives away its plant and its navigation if they are set up as ours are."""
+        self.tick, self.state = before.tick, before.state
+        if self.plant is not None:
+            if before.plant is not None and self.setup.plant == before.setup.plant:
+                self.plant.close()
+                self.plant, before.plant = before.plant, None
+            else:
+                x, y, z, theta, psi, u, v, w, q, r = self.state
+                phi, p = (0.0, 0.0) if before.plant is None else before.plant.roll
+                self.plant.start(self.tick, (x, y, z, phi, theta, psi), (u, v, w, p, q, r))
+                self.state = _of_plant(self.plant)
+        if self.navigation is not None:
+            if before.navigation is not None and self.setup.navigation == before.setup.navigation:
+                self.navigation = before.navigation
+            else:
+                self.navigation.begin(self.tick, self.state)
 
 
 class _Vehicles(dict[int, _Vehicle]):
@@ -299,36 +318,25 @@ class World:
         """Let a tick pass without integrating vehicle i, whose motion diverged: it stays where it was."""
         self._vehicles[i].tick += 1
 
+    @property
+    def holds(self) -> bool:
+        """Whether a plant holds something that it must end, such as a process."""
+        return any(vehicle.plant is not None and vehicle.plant.holds for vehicle in self._vehicles.values())
+
     def close(self) -> None:
         """End what the plants hold; no vehicle is moved afterwards."""
         for plant in filter(None, (vehicle.plant for vehicle in self._vehicles.values())):
             plant.close()
 
-    def memory(self, i: int, *, moves: bool = True) -> list[Any]:
-        """All that vehicle i's next ticks depend on besides its faults, as MessagePack values: [tick, state, held],
-        what its plant remembers (None without one), and its navigation. `moves`: whether it is still integrated; a
-        plant that failed is not asked. Raises PlantError if its plant cannot say what it remembers.
+    def take_over(self, before: World) -> None:
+        """Go on from the world of another run of the same vehicles, which is not used afterwards. A plant or a
+        navigator that is set up as it was there goes on as it is; another one begins with the motion of its vehicle.
+        Raises PlantError if a plant cannot begin there.
         """
-        held = [[fault, list(values)] for (fault, j), values in sorted(self._held.items()) if j == i]
-        vehicle = self._vehicles[i]
-        own = [] if vehicle.plant is None else [vehicle.plant.memory(vehicle.tick, moves=moves)]
-        if vehicle.navigation is not None:
-            own = [own[0] if own else None, vehicle.navigation.memory()]
-        return [vehicle.tick, list(vehicle.state), held, *own]
-
-    def remember(self, i: int, values: list[Any]) -> None:
-        """Continue vehicle i from what `memory` returned, perhaps in another run. A plant goes on from its state; where
-        the vehicle was something else, it begins with the same motion. Raises PlantError if its plant cannot.
-        """
-        vehicle = self._vehicles[i]
-        vehicle.tick, (x, y, z, theta, psi, u, v, w, q, r), held, *own = values
-        vehicle.state = (x, y, z, theta, psi, u, v, w, q, r)
-        if vehicle.plant is not None:
-            vehicle.plant.restore(vehicle.tick, own[0] if own else None, (x, y, z, theta, psi), (u, v, w, q, r))
-            vehicle.state = _of_plant(vehicle.plant)
-        if vehicle.navigation is not None:
-            vehicle.navigation.restore(vehicle.tick, own[1] if len(own) > 1 else None, vehicle.state)
-        self._held |= {(fault, i): tuple(known) for fault, known in held}
+        for i, vehicle in self._vehicles.items():
+            vehicle.take_over(before._vehicles[i])
+        self._held = before._held
+        before.close()
 
     def _stage_forces_at(self, tick: int) -> tuple[tuple[Vec5, Vec5, Vec5], ...]:
         config = self.config

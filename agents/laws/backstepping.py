@@ -25,7 +25,7 @@ saturated switching term (*sliding mode*: BSMC). All derivatives are filtered di
 from __future__ import annotations
 
 from math import asin, atan2, cos, exp, sin
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from agents.config import AgentConfig
 from agents.laws.kinematics import ASTERN, RateFilter, flow_angles, wrap
@@ -72,7 +72,7 @@ _COMMON = frozenset(
 class _Backstepping:
     """The common part. Each flavour has its own `_act`, and its own signals between errors and demand."""
 
-    __slots__ = ("_bow", "_exact", "_filters", "_m", "_params")
+    __slots__ = ("_bow", "_exact", "_m", "_params", "filters")
 
     def __init__(self, config: AgentConfig) -> None:
         p = config.vehicle
@@ -81,7 +81,7 @@ class _Backstepping:
         self._bow = config.tracking.astern == "bow"
         self._m = (*p.inertia, p.beta_u, p.beta_v, p.beta_w, p.beta_q, p.beta_r, p.beta_b)
         # Rates of theta_cmd, psi_cmd, theta', psi', in this order.
-        self._filters = tuple(RateFilter(config.tracking.tau_f, angle=True) for _ in range(4))
+        self.filters = tuple(RateFilter(config.tracking.tau_f, angle=True) for _ in range(4))
 
     def step(self, sample: Sample, command: VelocityCommand) -> tuple[Vec3, tuple[float, ...]]:
         """Answer one sample, eqs. (24)-(47): surge force [N], pitch and yaw moment [N m] before the limits, and the
@@ -93,7 +93,7 @@ class _Backstepping:
         _, _, _, theta, psi = sample.eta
         u, v, w, q, r = sample.nu
         u_cmd, theta_cmd, psi_cmd = command
-        rate_theta_cmd, rate_psi_cmd, rate_attack, rate_sideslip = self._filters
+        rate_theta_cmd, rate_psi_cmd, rate_attack, rate_sideslip = self.filters
         astern = self._bow and u < ASTERN
         ahead = ASTERN if astern else u
         u_a, attack, sideslip = flow_angles(ahead, v, w)
@@ -135,13 +135,6 @@ class _Backstepping:
         """
         raise NotImplementedError
 
-    def state(self) -> dict[str, Any]:
-        return {"filters": [f.state() for f in self._filters]}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        for angle_rate, state in zip(self._filters, values["filters"], strict=True):
-            angle_rate.restore(state)
-
 
 class NeurodynamicTracking(_Backstepping):
     """A = -K2 x, x from a shunting model on each error: smooth, bounded, and without derivatives of the commands."""
@@ -153,55 +146,39 @@ class NeurodynamicTracking(_Backstepping):
     )
     uses: ClassVar[frozenset[str]] = _COMMON | {"a", "b_up", "b_down"}  # of TrackingParams
 
-    __slots__ = ("_x",)
+    __slots__ = ("x",)
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__(config)
-        self._x: Vec3 = (0.0, 0.0, 0.0)
+        self.x: Vec3 = (0.0, 0.0, 0.0)
 
     def _act(self, errors: Vec3, commands: Vec3, dt: float) -> tuple[Vec3, Vec3]:
         # The shunting states see this sample's errors before they are used: half a sample less delay, and
         # without it the loop is unstable at longer control periods.
         k = self._params
-        x1, x2, x3 = self._x
+        x1, x2, x3 = self.x
         u_err, q_err, r_err = errors
         x1 = shunting_step(x1, u_err, k.a, k.b_up, k.b_down, dt)
         x2 = shunting_step(x2, q_err, k.a, k.b_up, k.b_down, dt)
         x3 = shunting_step(x3, r_err, k.a, k.b_up, k.b_down, dt)
-        self._x = x = (x1, x2, x3)
+        self.x = x = (x1, x2, x3)
         return (-k.k_u * x1, -k.k_q * x2, -k.k_r * x3), x
-
-    def state(self) -> dict[str, Any]:
-        return super().state() | {"x": list(self._x)}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        super().restore(values)
-        x1, x2, x3 = values["x"]
-        self._x = (x1, x2, x3)
 
 
 class _WithRates(_Backstepping):
     signals: ClassVar[tuple[Signal, ...]] = (*_ERRORS, _RATES, _DEMAND)
 
-    __slots__ = ("_command_rates",)
+    __slots__ = ("command_rates",)
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__(config)
-        self._command_rates = tuple(RateFilter(config.tracking.tau_f) for _ in range(3))
+        self.command_rates = tuple(RateFilter(config.tracking.tau_f) for _ in range(3))
 
     def _rates(self, commands: Vec3, dt: float) -> Vec3:
         """Filtered derivatives of u_cmd [m/s^2], q_cmd and r_cmd [rad/s^2]."""
-        f1, f2, f3 = self._command_rates
+        f1, f2, f3 = self.command_rates
         u_cmd, q_cmd, r_cmd = commands
         return f1.step(u_cmd, dt), f2.step(q_cmd, dt), f3.step(r_cmd, dt)
-
-    def state(self) -> dict[str, Any]:
-        return super().state() | {"command_rates": [f.state() for f in self._command_rates]}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        super().restore(values)
-        for rate, state in zip(self._command_rates, values["command_rates"], strict=True):
-            rate.restore(state)
 
 
 class BacksteppingTracking(_WithRates):

@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import inf, isfinite, sqrt
 from typing import Any, ClassVar, NamedTuple
 
@@ -217,12 +216,6 @@ class FixedGuidance:
         self._rho = rho
         return rho, self._K
 
-    def state(self) -> dict[str, Any]:
-        return {"rho": None if self._rho is None else list(self._rho)}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        self._rho = _vec3(values["rho"])
-
 
 class OptimalGuidance:
     """The gain of rho = -K e + v_d from a QP, rho within its bounds: the guidance of NBOC and BOC. It remembers the
@@ -271,20 +264,3 @@ class OptimalGuidance:
             rho = slew(rho, previous, params.slew * sample.dt)
         self._rho = rho
         return rho, (*self.K, float(status), float(self.failures))
-
-    def state(self) -> dict[str, Any]:
-        rho = None if self._rho is None else list(self._rho)
-        return {"K": list(self.K), "rho": rho, "failures": self.failures}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        k1, k2, k3 = values["K"]
-        self.K = (k1, k2, k3)
-        self._rho = _vec3(values["rho"])
-        self.failures = values["failures"]
-
-
-def _vec3(values: Sequence[float] | None) -> Vec3 | None:
-    if values is None:
-        return None
-    x, y, z = values
-    return x, y, z

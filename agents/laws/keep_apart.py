@@ -305,13 +305,3 @@ class KeepApart:
         if level < slowest:
             most *= level / slowest
         return north, east, max(-most, min(most, down))
-
-    def state(self) -> dict[str, Any]:
-        answer = None if self._answer is None else list(self._answer)
-        return {"answer": answer, "changes": self._changes, "infeasible": self.infeasible}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        answer = values["answer"]
-        self._answer = None if answer is None else (answer[0], answer[1], answer[2])
-        self._changes = values["changes"]
-        self.infeasible = values["infeasible"]

@@ -75,13 +75,6 @@ class RateFilter:
         self.rate = rate = alpha * self.rate + (1.0 - alpha) * difference / dt
         return rate
 
-    def state(self) -> list[float | None]:
-        return [self.value, self.rate]
-
-    def restore(self, values: list[float | None]) -> None:
-        self.value, rate = values
-        self.rate = rate or 0.0
-
 
 def earth_velocity(eta: Sequence[float], nu: Sequence[float], phi: float = 0.0) -> Vec3:
     """Velocity over ground in earth axes: R(theta, psi) (u, v, w), the first three rows of eq. (1).

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from math import atan2, cos, exp, hypot, sin, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from agents.config import AgentConfig, LocalizationParams
 from agents.errors import PayloadError
@@ -264,17 +264,6 @@ class MirrorImage:
         a, b, c = self.other.covariance
         return nn + w * (dn * dn + a - nn), ne + w * (dn * de + b - ne), ee + w * (de * de + c - ee)
 
-    def state(self) -> list[Any]:
-        """Everything that the next range depends on, as plain values."""
-        other = None if self.other is None else [*self.other.place, *self.other.covariance]
-        return [other, self.odds, list(self._sums), self._settled]
-
-    def restore(self, values: list[Any]) -> None:
-        other, self.odds, sums, self._settled = values
-        count, n, e, nn, ne, ee = sums
-        self._sums = count, n, e, nn, ne, ee
-        self.other = None if other is None else PlaceEstimate((other[0], other[1]), (other[2], other[3], other[4]))
-
 
 def distance(place: Place, estimate: PlaceEstimate) -> float:
     """How far a place is from an estimate: the normalised square, chi-square with 2 degrees of freedom."""
@@ -320,12 +309,6 @@ class Navigated:
 
     def telemetry(self) -> tuple[float, ...]:
         return ()
-
-    def state(self) -> dict[str, Any]:
-        return {}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Nothing is remembered."""
 
 
 class Localizer(Navigated):
@@ -524,29 +507,3 @@ class Localizer(Navigated):
         mirror = 0.0 if self.mirror is None else self.mirror.probability
         nis = (self._nis_sum / max(1, self.used),) if self._params.nis else ()
         return (*self._place, self._depth, *self.covariance, float(self.used), float(self.refused), mirror, *nis)
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on, as plain values."""
-        numbers = [*self._place, *self._covariance, self._depth, *self._own, *self._velocity, *self._way]
-        history = [list(kept) for kept in self._history]
-        mirror = None if self.mirror is None else [*self._navigator, self.mirror.state()]
-        counted = self._fixed, self._alone, self.used, self.refused
-        nis = [self._nis_sum] if self._params is not None and self._params.nis else []
-        return {"localizer": [self._tick, numbers, history, *counted, mirror, self._span, *nis]}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`; from the beginning with the memory of a run without localization."""
-        if "localizer" not in values:
-            return
-        kept: list[Any] = values["localizer"]
-        self._tick, numbers, history, self._fixed, self._alone, self.used, self.refused, mirror, *span = kept
-        self._span = (span[0][0], span[0][1]) if span and span[0] else None  # older logs have none
-        self._nis_sum = span[1] if len(span) > 1 else 0.0
-        if self.mirror is not None and mirror is not None:
-            north, east, known = mirror
-            self._navigator = north, east
-            self.mirror.restore(known)
-        x, y, nn, ne, ee, self._depth, a, b, c, vx, vy, vz, north, east = numbers
-        self._place, self._covariance, self._own = (x, y), (nn, ne, ee), (a, b, c)
-        self._velocity, self._way = (vx, vy, vz), (north, east)
-        self._history = deque((tick, n, e) for tick, n, e in history)

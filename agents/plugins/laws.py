@@ -9,7 +9,7 @@ from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
 from agents.sample import Sample
 from agents.signals import COMMANDED, HEARD
-from world.plugins.checks import check_class, check_signals, resumable
+from world.plugins.checks import check_class, check_signals
 from world.plugins.fence import Fence, shown
 from world.plugins.loading import load_class
 from world.signal import Signal
@@ -33,7 +33,6 @@ class FencedLaw:
         self._fence = law_fence(config, law, notes)
         self._signals: tuple[Signal, ...] = law_class.signals
         self._law = self._fence.make(law_class, config, law.parameters)
-        self._resumable = resumable(law_class)  # the class, not the instance: there `state` may be anything
         self._what = what
 
     def step(self, sample: Sample, *more: Any) -> tuple[Vec3, tuple[float, ...]]:
@@ -48,19 +47,6 @@ class FencedLaw:
             raise fence.wrong(tick, method, f"returned {shown(answer)}: expected ({self._what}, telemetry)")
         vector = fence.vector(tick, method, self._what, answer[0])
         return vector, fence.telemetry(tick, method, self._signals, answer[1])
-
-    def state(self) -> Any:
-        """The law's state, or None when it has none.
-
-        Raises:
-            ControllerError: its state() raised, took too long, or returned what a log cannot hold.
-        """
-        return self._fence.remembered(self._law.state) if self._resumable else None
-
-    def restore(self, values: Any) -> None:
-        """Continue from `state()`; a law without one begins from the start."""
-        if self._resumable:
-            self._law.restore(values)
 
 
 # What a class of each kind must be able to do, and with what it is called.

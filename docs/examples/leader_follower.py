@@ -39,9 +39,3 @@ class LeaderFollower:
         pitch = 15.0 * pitch_error - 10.0 * q - (m3 - m1) * u * w
         yaw = 10.0 * yaw_error - 8.0 * r - (m1 - m2) * u * v
         return (surge, pitch, yaw), {"error": hypot(*error)}
-
-    def state(self):
-        return {"integral": self.integral}
-
-    def restore(self, values):
-        self.integral = list(values["integral"])

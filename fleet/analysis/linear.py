@@ -19,7 +19,7 @@ is linear.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from math import atan2, cos, hypot, sin
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ import numpy as np
 
 from agents.config import AgentConfig, Law
 from agents.controllers import TRACKING, Cascade
-from agents.laws.kinematics import earth_velocity
+from agents.laws.kinematics import RateFilter, earth_velocity
 from agents.laws.velocity_command import clip
 from agents.sample import Sample
 from agents.trajectory import Motion
@@ -119,6 +119,7 @@ def _motion(flight: Flight, v_d: Vec3, current: Vec3) -> tuple[Step, Array]:
     k = coefficients(flight.truth)
     h = flight.tick_s / flight.substeps
     cascade = Cascade(config, [])
+    law: Any = cascade.tracking  # one of ours: it can give and take its state
     desired = Motion((0.0, 0.0, 0.0), v_d)
 
     def decide(s: Array, Ke: Array) -> Vec3:
@@ -129,18 +130,17 @@ def _motion(flight: Flight, v_d: Vec3, current: Vec3) -> tuple[Step, Array]:
         return clip(cascade.step(sample)[0], low, high)
 
     plant = np.array([0.0, 0.0, 0.0, -atan2(v_d[2], v_d[0]), 0.0, hypot(*v_d), 0.0, 0.0, 0.0, 0.0])
-    decide(plant, np.zeros(3))  # now the memory of the laws has its shape
-    shape = cascade.state()
+    decide(plant, np.zeros(3))  # now the filters of the law have a value
 
     def step(s: Array, Ke: Array) -> Array:
-        cascade.restore(_filled(shape, iter(s[_PLANT:].tolist())))
+        _set_state(law, s[_PLANT:].tolist())
         tau = decide(s, Ke)
         state = tuple(s[:_PLANT].tolist())
         for _ in range(flight.substeps):
             state = rk4_step(k, state, tau, (_CALM5, _CALM5, _CALM5), h, current)
-        return np.array([*state, *_numbers(cascade.state())])
+        return np.array([*state, *_state(law)])
 
-    return step, np.array([*plant, *_numbers(shape)])
+    return step, np.array([*plant, *_state(law)])
 
 
 def _derivatives(step: Step, s: Array, e: Array) -> tuple[Array, Array]:
@@ -156,24 +156,22 @@ def _velocity(s: Array) -> Array:
     return np.array(earth_velocity((0.0, 0.0, 0.0, theta, psi), (u, v, w, q, r)))
 
 
-def _numbers(memory: Any) -> Iterator[float]:
-    if isinstance(memory, dict):
-        for value in memory.values():
-            yield from _numbers(value)
-    elif isinstance(memory, list):
-        for value in memory:
-            yield from _numbers(value)
-    else:
-        yield float(memory)
+def _filters(law: Any) -> list[RateFilter]:
+    return [*law.filters, *getattr(law, "command_rates", ())]
 
 
-def _filled(shape: Any, numbers: Iterator[float]) -> Any:
-    """The inverse of `_numbers`: plain values of the same shape with other numbers."""
-    if isinstance(shape, dict):
-        return {key: _filled(value, numbers) for key, value in shape.items()}
-    if isinstance(shape, list):
-        return [_filled(value, numbers) for value in shape]
-    return next(numbers)
+def _state(law: Any) -> list[float]:
+    """All that the next step of a tracking law of ours depends on: its filters, and perhaps its shunting states."""
+    return [*(number for one in _filters(law) for number in (one.value, one.rate)), *getattr(law, "x", ())]
+
+
+def _set_state(law: Any, numbers: list[float]) -> None:
+    """Give it back to the law."""
+    filters = _filters(law)
+    for place, one in enumerate(filters):
+        one.value, one.rate = numbers[2 * place], numbers[2 * place + 1]
+    if len(numbers) > 2 * len(filters):
+        law.x = tuple(numbers[2 * len(filters) :])
 
 
 def _turned(vector: Vec3, angle: float) -> Vec3:

@@ -178,6 +178,8 @@ def warnings(scenario: Scenario) -> list[str]:
     found = [*check_warnings(scenario), *_idle_faults(scenario), *_correlated(scenario), *_short_queues(scenario)]
     found += [*forgetting_warnings(scenario), *keep_apart_warnings(scenario)]
     found += [*short_traces(scenario), *slot_warnings(scenario)]
+    if scenario.spec.log.snapshot is not None:
+        found.append("log.snapshot has no effect: a run goes on from any moment of its log; leave it out")
     if hint := large_log_hint(log_mb(scenario)):
         found.append(f"the log will have about {log_mb(scenario):.0f} MB; {hint}")
     return found

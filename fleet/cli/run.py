@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console as Terminal
 
     from fleet.execution.options import Options
-    from fleet.recorder.snapshot import Start
+    from fleet.recorder.start import Start
     from fleet.result.result import Result
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
@@ -54,7 +54,7 @@ class RunOptions(cli_hosts.HostsOptions):
 
 @click.command(epilog=EPILOG)
 @click.argument("scenario", required=False, shell_complete=scenarios)
-@click.option("--from", "begin", metavar="LOG[@TIME]", help="Continue from a snapshot in a log, in one process.")
+@click.option("--from", "begin", metavar="LOG[@TIME]", help="Continue a recorded run from a moment, in one process.")
 @click.option("-o", "--out", metavar="DIR", type=PATH, default=Path("runs"), show_default=True,
               help="The folder for run directories.")  # fmt: skip
 @click.option("--seed", type=Whole(0, 2**63 - 1), help="Override the scenario's seed.")

@@ -453,15 +453,13 @@ def rare(
       fleet rare lossy --check max_age --set 'checks.max_age.below=2 s'
       fleet rare my.yaml --check min_separation --repeats 50 --effort 200
     """
-    from fleet.scenario.loading import changed, load_scenario
+    from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
     from fleet.study.rare import RareEvent, Splitting
     from fleet.study.study_file import refuse_study
 
     refuse_study(scenario)
     loaded = load_scenario(scenario, changes)
-    if loaded.spec.log.snapshot is None:
-        loaded = changed(loaded, ["log.snapshot=1 s"])
     modules = modules_of([loaded], Path(scenario).parent if Path(scenario).exists() else None)
     path = out or Path(f"{loaded.name}-rare.json")
     with how.showing(pieces) as tell, how.engine() as engine:

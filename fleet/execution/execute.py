@@ -21,6 +21,7 @@ from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import refuse
 from fleet.execution.hosting import Hosting, hosting
 from fleet.execution.in_process import InProcess
+from fleet.execution.moments import Prefix, reach
 from fleet.execution.options import Options
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.registry import RegistryError, register
@@ -28,8 +29,10 @@ from fleet.execution.runner import Runner
 from fleet.execution.triggered import fired
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.limits import NO_THREAD, free_port, no_thread
+from fleet.quantities import show_time
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
+from fleet.recorder.start import Start
 from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import LivePublisher
 from fleet.result.file import write_result
@@ -37,7 +40,7 @@ from fleet.result.result import Published, Punctual, Result, Status, Wall
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.triggers import moments
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
-from fleet.terminal.status_line import BAR, StatusLine, bar
+from fleet.terminal.status_line import BAR, StatusLine, bar, showing
 from fleet.terminal.table import GAP, Piece, shortened
 from netem.vehicle_clock import Clock
 from world.errors import WorldError
@@ -156,8 +159,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunBroken: the port is taken.
         LogError: the log cannot be created.
         CheckError: a check in Python cannot be made.
-        FleetError: the run directory cannot be made, the journal cannot be published, or an agent is external in a run
-            in one process.
+        FleetError: the run directory cannot be made, the journal cannot be published, an agent is external in a run
+            in one process, or the run that this one goes on from does not come out as its log has it.
     """
     if scenario.spec.triggers:
         names = moments(scenario.spec.triggers, scenario.spec)
@@ -167,9 +170,12 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
                 text = f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name}), {names[name]}"
                 (terminal or Terminal(stderr=True)).print(text, markup=False, highlight=False, soft_wrap=True)
     try_plants(scenario)
+    moment = None if options.start is None else _reached(options.start, quiet=options.quiet)
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:
-        run = _prepare(scenario, options, terminal or Terminal(stderr=True), interrupts, while_it_lives)
+        if moment is not None:
+            while_it_lives.callback(moment.run.release)
+        run = _prepare(scenario, options, moment, terminal or Terminal(stderr=True), interrupts, while_it_lives)
         _serve(run)
         with interrupts:  # what there is gets written, whatever comes meanwhile
             settle(run.journal, run.log, run.runner, run.result)
@@ -178,8 +184,19 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     return run.result
 
 
+def _reached(start: Start, *, quiet: bool) -> Prefix:
+    at = show_time(start.tick * start.legs[-1].scenario.tick_ns)
+    with showing(f"running to t = {at} again", quiet=quiet) as tell:
+        return reach(start, tell)
+
+
 def _prepare(
-    scenario: Scenario, options: Options, terminal: Terminal, interrupts: DeferInterrupts, while_it_lives: ExitStack
+    scenario: Scenario,
+    options: Options,
+    moment: Prefix | None,
+    terminal: Terminal,
+    interrupts: DeferInterrupts,
+    while_it_lives: ExitStack,
 ) -> _Run:
     """Make the run directory, the log and the journal; start the publisher, if there is one, and nothing else."""
     if scenario.nodes and options.relay is None:
@@ -192,7 +209,7 @@ def _prepare(
     shared = Hosting() if in_process else hosting(scenario, options)
 
     # Before anything is made, too: one in Python may be wrong.
-    checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.snapshot.tick)
+    checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.tick)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     text = scenario.to_yaml()
@@ -205,7 +222,8 @@ def _prepare(
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
     publisher = LivePublisher(number, directory.observe, text, wait=options.wait) if options.publish else None
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
-    writer = LogWriter(log, scenario, options.start, publisher, clock=options.clock)
+    links = None if moment is None else moment.links
+    writer = LogWriter(log, scenario, options.start, publisher, options.clock, links)
     if publisher is not None:
         publisher.open()
         where = f"fleet/{publisher.run}/log/** at {publisher.endpoint}"
@@ -217,7 +235,7 @@ def _prepare(
     if options.relay is not None:
         runner = options.relay(scenario, directory, journal, log, number, line.print)
     elif in_process:
-        runner = InProcess(scenario, journal, options.start)
+        runner = InProcess(scenario, journal, None if moment is None else moment.run)
     else:
         from fleet.execution.console import Console  # and with it zenoh and multiprocessing
 
@@ -296,5 +314,5 @@ def _report(run: _Run) -> None:
 def _policy(scenario: Scenario, options: Options) -> GrantPolicy:
     if options.clock is Clock.REAL:
         return GrantPolicy.of(scenario, options.speed or 1.0, lead_ns=WINDOW_NS)
-    begin = 0 if options.start is None else options.start.snapshot.tick
+    begin = 0 if options.start is None else options.start.tick
     return GrantPolicy.of(scenario, options.speed, begin=begin)

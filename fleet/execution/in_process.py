@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgpack
 
@@ -25,7 +25,7 @@ from fleet.execution.clock import GrantPolicy
 from fleet.execution.notes import note_text
 from fleet.execution.runner import Closing
 from fleet.recorder.journal import Journal, JournalSink
-from fleet.recorder.snapshot import Start
+from fleet.recorder.start import set_up_otherwise
 from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
@@ -35,7 +35,7 @@ from netem.faults import NetFault
 from netem.lives import Absence
 from netem.rounds import Rounds
 from netem.wire.codec import decode, encode
-from netem.wire.messages import Command, Frame, Inbox, Memory, Nav, Round, Transmission, WorldFault
+from netem.wire.messages import Command, Delivery, Frame, Inbox, Nav, Round, Transmission, WorldFault
 from world.errors import WorldError
 from world.lockstep import Lockstep, NavTo
 from world.sea import World
@@ -52,7 +52,9 @@ class AgentLife(Protocol):
     def incarnation(self) -> int: ...
     def nav(self, nav: Nav, /) -> list[Answer]: ...
     def inbox(self, inbox: Inbox, /) -> list[Answer]: ...
-    def remember(self, memory: bytes, /, *, anew: bool = False) -> None: ...
+    @property
+    def waiting(self) -> tuple[Delivery, ...]: ...
+    def take_over(self, before: Any, /, *, anew: bool) -> None: ...
 
 
 MakeLife = Callable[[int, int], AgentLife]  # (incarnation, begin) -> one life of an agent
@@ -71,16 +73,19 @@ class InProcess:
         self,
         scenario: Scenario,
         journal: Journal,
-        start: Start | None = None,
+        before: InProcess | None = None,
         agents: Mapping[int, MakeLife] | None = None,
         salt: int = 0,
     ) -> None:
-        """`start`: the snapshot of another run to go on from. `agents`: by vehicle, functions that make an agent in
-        place of the scenario's. `salt` changes all further draws of world and network; 0: the draws of every run with
-        this seed.
+        """Make it.
+
+        Args:
+            before: a run of the same graph to go on from, which is not used afterwards.
+            agents: by vehicle, functions that make an agent in place of the scenario's.
+            salt: changes all further draws of world and network; 0: the draws of every run with this seed.
         """
         self._other_agents = agents or {}
-        self._scenario, self.journal, self._begin = scenario, journal, start
+        self.scenario, self.journal, self._before = scenario, journal, before
         seed = salted(scenario.seed, salt)
         self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
         self.rounds = Rounds(replace(scenario.netem_config, seed=seed))
@@ -112,9 +117,8 @@ class InProcess:
 
     def to_end(self, progress: Callable[[], None], policy: GrantPolicy | None = None) -> RunBroken | None:
         """As `serve`, as fast as it goes; returns what broke the run. None: it came to its end."""
-        begin = 0 if self._begin is None else self._begin.snapshot.tick
         try:
-            self.serve(policy or GrantPolicy.of(self._scenario, begin=begin), progress)
+            self.serve(policy or GrantPolicy.of(self.scenario), progress)
         except RunBroken as error:
             return error
         except (AgentError, WorldError) as error:
@@ -125,11 +129,12 @@ class InProcess:
         """Make the agents, unless they are there already; nothing moves yet."""
         if self._loops:
             return
-        for i in range(1, self._scenario.vehicles + 1):
+        before, self._before = self._before, None
+        if before is not None:
+            self._take_over(before)
+            return
+        for i in range(1, self.scenario.vehicles + 1):
             self._loops[i] = self._born(i, 0, 0)
-        if self._begin is not None:
-            self.granted = self._begin.snapshot.tick
-            self._resume(self._begin)
 
     def advance(self, until: int) -> bool:
         """Grant ticks below `until`, and go so far; returns whether an agent was asked. Raises as `serve`."""
@@ -153,7 +158,7 @@ class InProcess:
 
     def end(self) -> None:
         """Account for what is on the way when the last tick is over."""
-        self.journal.links(self.rounds.close(self._scenario.ticks))
+        self.journal.links(self.rounds.close(self.scenario.ticks))
         self.closing = Closing(entered=self.rounds.netem.entered)
 
     def release(self) -> None:
@@ -186,6 +191,12 @@ class InProcess:
             self._world.state.lives.add(absence)
             self.rounds.lives.add(absence)
 
+    def spare_agents(self, kill: Kill) -> None:
+        """Leave out a kill that was planned and has not begun."""
+        for absence in kill.absences:
+            self._world.state.lives.leave_out(absence)
+            self.rounds.lives.leave_out(absence)
+
     def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         self._world.state.lives.restart(i, begin, tick)
         self.rounds.lives.restart(i, begin, tick)
@@ -203,22 +214,36 @@ class InProcess:
         who = {WORLD: "the world", NETEM: "netem"}.get(self._speaker, f"agent {self._speaker}")
         return RunBroken(f"{who} sent what cannot be used: {error}")
 
-    def _resume(self, start: Start) -> None:
-        snapshot = start.snapshot
-        tick = snapshot.tick
-        self._world.resume(tick, snapshot.world)
-        self.rounds.resume(tick, snapshot.network)
-        self.journal.resume(snapshot)
-        lives, memories = self._world.state.lives, snapshot.memories
-        for i in self._loops:
-            loop = self._loops[i] = self._born(i, lives.incarnation(i, tick), tick)
-            if i in memories:  # else it was gone there, and may be there now
-                loop.remember(memories[i], anew=i in start.anew)
+    def _take_over(self, before: InProcess) -> None:
+        """Go on at the tick that another run has come to."""
+        tick = self.granted = before.granted
+        self._world.take_over(tick, before._world)
+        self.rounds.take_over(before.rounds)
+        state = self._world.state
+        self.journal.take_over(tick, before.journal, state.diverged, state.tumbling)
+        for i in self.world.ids:
+            loop = self._loops[i] = self._born(i, state.lives.incarnation(i, tick), tick)
+            if (known := before.life(i)) is not None:  # else it was gone there, and may be there now
+                loop.take_over(known, anew=set_up_otherwise(self.scenario, before.scenario, i))
+
+    def write_up(self) -> None:
+        """Write all ticks that are over; what netem would report with the next round of them, it reports now."""
+        self.journal.write_up(self.granted - 1, self.rounds.netem.settle(self.granted - 1))
+
+    @property
+    def can_be_copied(self) -> bool:
+        """Whether a copy of this process can go on with the run: no plant holds a process, or the like."""
+        return not self.world.holds
+
+    def life(self, i: int) -> AgentLife | None:
+        """The present life of agent i; None: it is gone, or begins with the next tick."""
+        state, loop = self._world.state, self._loops[i]
+        return None if state.without_agent(i) or state.incarnation(i) != loop.incarnation else loop
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLife:
         if i in self._other_agents:
             return self._other_agents[i](incarnation, begin)
-        scenario = self._scenario
+        scenario = self.scenario
         config = msgpack.unpackb(msgpack.packb(scenario.agent_config(i).to_values()))  # as if over the wire
         return AgentLoop(
             make_agent(AgentConfig.from_values(config)),
@@ -226,7 +251,6 @@ class InProcess:
             incarnation=incarnation,
             begin=begin,
             ideal=scenario.ideal,
-            memory_ticks=scenario.memory_ticks,
         )
 
     def _loop(self, i: int, incarnation: int) -> AgentLife:
@@ -239,8 +263,8 @@ class InProcess:
     def _died(self, i: int, error: ControllerError) -> None:
         deaths = self.deaths.setdefault(i, [])
         self._note(error.tick, f"agent {i}", f"controller failed: {error}")
-        restart = self._scenario.spec.on_death == "restart" and len(deaths) < MOST_RESTARTS
-        until = self._scenario.next_round(self.granted) if restart else None
+        restart = self.scenario.spec.on_death == "restart" and len(deaths) < MOST_RESTARTS
+        until = self.scenario.next_round(self.granted) if restart else None
         deaths.append("controller failed")
         self._dead.add((i, self._loops[i].incarnation))
         if until is not None:
@@ -261,7 +285,7 @@ class InProcess:
             else:
                 answers = loop.inbox(message)
         except ControllerError as error:
-            spec = self._scenario.spec
+            spec = self.scenario.spec
             if spec.on_controller_error != "die" or spec.on_death == "abort":
                 self._failures[error.tick, i] = error
                 self._dead.add((i, message.incarnation))
@@ -278,8 +302,6 @@ class InProcess:
         match decode(data):
             case Command() as command:
                 self._from_world(self._world.command(i, command, data))
-            case Memory() as memory:
-                self._world.remember(i, memory)
             case Transmission() as transmission:
                 self.rounds.transmission(i, transmission)
                 self._exchange()
@@ -297,7 +319,7 @@ class InProcess:
                 navs.append((WORLD, out.id, encode(out.nav)))
             elif isinstance(out, Frame):
                 self.journal.frame(out)
-            elif not self._scenario.ideal:  # on an ideal network netem does not wait for the world
+            elif not self.scenario.ideal:  # on an ideal network netem does not wait for the world
                 self.rounds.round(out)
                 self._exchange()
         # First of all: a vehicle goes on as far as it can while what it needs is in the processor's caches.
@@ -311,14 +333,14 @@ class InProcess:
             self.journal.links(report)
 
     def _note(self, tick: int, who: str, text: str) -> None:
-        self.notes.append(note_text(tick, self._scenario.tick_ns, who, text))
+        self.notes.append(note_text(tick, self.scenario.tick_ns, who, text))
 
 
 def in_process(
     scenario: Scenario,
     log: JournalSink,
+    before: InProcess | None = None,
     *,
-    start: Start | None = None,
     agents: Mapping[int, MakeLife] | None = None,
     salt: int = 0,
     judged: bool = True,
@@ -326,6 +348,5 @@ def in_process(
     """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`. `judged`: the
     user's own checks see everything, too. Raises CheckError if a check in Python cannot be made.
     """
-    begin = 0 if start is None else start.snapshot.tick
-    checks = OwnChecks.asked(scenario, begin) if judged else None
-    return InProcess(scenario, Journal(scenario, log, checks=checks), start, agents, salt)
+    checks = OwnChecks.asked(scenario, 0 if before is None else before.granted) if judged else None
+    return InProcess(scenario, Journal(scenario, log, checks=checks), before, agents, salt)

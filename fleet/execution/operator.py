@@ -310,11 +310,26 @@ class Operator:
         self.journal.add_event(end)
         return end.tick
 
-    def _heal(self, name: Any) -> dict[str, Any]:
-        """End one fault, or all active ones, at once. Agents begin again with a round."""
+    def end_faults(self) -> list[Kill]:
+        """End all faults of the plan at once, and let no later one begin. Agents that died by themselves stay as they
+        are. Returns the kills that do not begin now. Raises RefusedError: agents cannot begin again in time.
+        """
+        tick = self.fleet.granted
+        later = [part for part in self.faults if part.begin >= tick]
+        self._replace([part for part in self.faults if part.begin < tick])
+        for part in later:
+            self.journal.end_event(part.id, tick)
+        if any(part.active(tick) for part in self.faults):
+            self._heal(None, deaths=False)
+        return [part for part in later if isinstance(part, Kill)]
+
+    def _heal(self, name: Any, *, deaths: bool = True) -> dict[str, Any]:
+        """End one fault, or all active ones, at once. Agents begin again with a round. `deaths`: also of agents that no
+        fault has killed.
+        """
         tick, last = self.fleet.granted, self.scenario.ticks
         lasting = [part for part in self.faults if part.active(tick)]
-        dead = {event.fault: i for i, event in self.journal.deaths.items()}  # agents that no fault has killed
+        dead = {event.fault: i for i, event in self.journal.deaths.items() if deaths}  # agents that no fault has killed
         healed = self._chosen(name, {part.id for part in lasting} | dead.keys())
         kills = [part for part in lasting if isinstance(part, Kill)]
         of_agents = {kill.id for kill in kills} | dead.keys()

@@ -13,7 +13,7 @@ from netem.vehicle_clock import Clock
 if TYPE_CHECKING:
     from fleet.execution.runner import MakeRelay
     from fleet.hosts.rendezvous import Rendezvous
-    from fleet.recorder.snapshot import Start
+    from fleet.recorder.start import Start
 
 JOIN_TIMEOUT_S = 300.0  # for agents that somebody else starts
 

@@ -273,6 +273,24 @@ class Run:
         found: list[str] = self._ask(op="heal", id=fault)["healed"]
         return found
 
+    def heal_as(self, scenario: Scenario) -> None:
+        """End all faults at the next tick, and let none begin later.
+
+        Args:
+            scenario: the same with the faults ended then. The run goes on as one of it, and its checks judge the run.
+
+        Raises:
+            RefusedError: agents cannot begin again in time.
+        """
+        for kill in self._operator.end_faults():
+            self._runner.spare_agents(kill)
+        self.scenario = scenario
+
+    @property
+    def can_be_copied(self) -> bool:
+        """Whether a copy of this process can go on with the run."""
+        return self._runner.can_be_copied
+
     def to_end(self, progress: Callable[[float], None] | None = None) -> Result:
         """Go on to the end of the run; returns the result.
 

@@ -17,9 +17,10 @@ from fleet.errors import RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import in_process
+from fleet.execution.moments import reach
 from fleet.execution.operator import Operator
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.snapshot import Snapshot, Start
+from fleet.recorder.start import Start
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
@@ -43,7 +44,8 @@ def fired(scenario: Scenario, start: Start | None = None) -> Scenario:
         return scenario
     refuse(scenario, "a scenario with triggers")
     calm, looks = _with(scenario, ()), _Looks(scenario, goes_on=start is not None)
-    runner = in_process(calm, looks, start=start, judged=False)
+    before = None if start is None else reach(replace(start, recorded=None)).run
+    runner = in_process(calm, looks, before, judged=False)
     operator = Operator(calm, runner.journal, LiveClock(GrantPolicy.of(calm), 0.0), runner)
     try:
         runner.begin()
@@ -78,8 +80,6 @@ class _Looks:
     def packet(self, fate: Fate) -> None: ...
 
     def event(self, event: Event) -> None: ...
-
-    def snapshot(self, snapshot: Snapshot) -> None: ...
 
 
 def _with(scenario: Scenario, faults: Sequence[FaultSection]) -> Scenario:

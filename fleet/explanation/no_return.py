@@ -1,11 +1,9 @@
 """The point of no return: the last moment of a failed run when healing all faults would still make it pass.
 
-This module first makes the run once more in this process. It takes a snapshot about every second (or every hundredth
-of the run), and notes whether the check has failed by then. Then it tries healed runs. In a healed run all faults end
-at one moment, and no fault begins later. Up to that moment it is the same run, to the last bit.
-
-Some checks have a margin that is the least over the time. Such a check had not failed before the snapshot, so its
-healed run starts there. Any other check remembers what was before, so its healed run starts at 0.
+This module first makes the run once more in this process. About every second (or every hundredth of the run) it notes
+whether the check has failed by then. Then it tries healed runs. In a healed run all faults end at one moment, and no
+fault begins later. Up to that moment it is the same run, to the last bit, so a worker makes it once
+for several moments.
 """
 
 from __future__ import annotations
@@ -19,32 +17,26 @@ from typing import Annotated, Any, Literal, NamedTuple
 from msgspec import Meta, Struct
 
 from fleet.analysis.verdicts import standing
-from fleet.errors import ScenarioError
 from fleet.execution.in_process import in_process
 from fleet.execution.outcome import judge_run, settle
 from fleet.quantities import show_time, time_ns
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import NoLog
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.snapshot import Snapshot
 from fleet.result.result import Result, Status
 from fleet.result.verdict import Verdict
-from fleet.scenario.loading import changed
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
-from fleet.scenario.sections.log_rates import snapshot_grid
+from fleet.scenario.sections.log_rates import moment_grid
 from fleet.scenario.sections.timeline import Event
-from fleet.study.branches import Branch, checks_over_time
 from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
-from fleet.study.one_run import Task, scenario_of
+from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import Row
 from fleet.study.shrink import Tree, tree_of
-from netem.lives import Lives
 from netem.wire.messages import Command, Fate, Frame
-from world.config import vehicle_memories
 
 RUNS = "runs that are healed"  # what is being made, for `tell`
 _FIRST, _THEN = 6, 3  # moments that are tried together
@@ -59,7 +51,7 @@ class HealedRun(Struct, frozen=True):
 
     at_s: Annotated[float, Meta(description="No fault was on from this time on.")]
     passed: Annotated[bool | None, Meta(description="null: it could not be judged.")]
-    from_snapshot: Annotated[bool, Meta(description="Whether only the rest of the run was made, from a snapshot.")]
+    from_snapshot: Annotated[bool, Meta(description="Always false: there are no snapshots since 1.1.")] = False
 
 
 class NoReturn(Struct, frozen=True):
@@ -76,7 +68,6 @@ class HealMoment(NamedTuple):
     """A moment of the run when healing is possible."""
 
     tick: int
-    state: bytes  # snapshot; empty: there is none
     failed: bool  # whether the check had failed by then
 
 
@@ -84,7 +75,7 @@ class HealMoment(NamedTuple):
 class Remade:
     """The run, made once more."""
 
-    scenario: Scenario  # with as many snapshots as there are moments
+    scenario: Scenario
     verdicts: list[Verdict] = field(default_factory=list)
     moments: dict[str, list[HealMoment]] = field(default_factory=dict)  # by check
     broken: str = ""  # why it ended early
@@ -103,7 +94,7 @@ class Remade:
 
 
 class _Watch:
-    """A sink of the journal: keeps every snapshot, and the checks that have failed by then."""
+    """A sink of the journal: notes at each moment the checks that have failed by then."""
 
     def __init__(self, scenario: Scenario, every: int) -> None:
         self.journal: Journal | None = None
@@ -118,34 +109,22 @@ class _Watch:
         for row in standing(self._scenario, self.journal):
             failed[row["check"]] = failed.get(row["check"], False) or row["passed"] is False
         for check, known in failed.items():
-            self.moments.setdefault(check, []).append(HealMoment(frame.tick, b"", known))
+            self.moments.setdefault(check, []).append(HealMoment(frame.tick, known))
 
     def packet(self, fate: Fate) -> None: ...
     def event(self, event: Event) -> None: ...
 
-    def snapshot(self, snapshot: Snapshot) -> None:
-        state = snapshot.to_bytes()
-        for moments in self.moments.values():
-            if moments[-1].tick == snapshot.tick:
-                moments[-1] = moments[-1]._replace(state=state)
-
-
-def with_moments(scenario: Scenario) -> Scenario:
-    """The scenario with a snapshot at each moment when healing is possible."""
-    every_ns = _every(scenario) * scenario.tick_ns
-    return changed(scenario, [f"log.snapshot={show_time(every_ns)}"])
-
 
 def _every(scenario: Scenario) -> int:
-    grid = snapshot_grid(scenario.spec)
+    grid = moment_grid(scenario.spec)
     a_second = min(_EVERY_NS // scenario.tick_ns, scenario.ticks // _LEAST_MOMENTS)
     wanted = max(a_second, ceil(scenario.ticks / _MOST_MOMENTS))
     return max(1, ceil(wanted / grid)) * grid
 
 
 def remake(scenario: Scenario, progress: Callable[[float], None]) -> Remade:
-    """Make the run once more, in this process. `scenario`: as `with_moments` gives it. `progress`: called with the
-    share that is done. Raises CheckError if a check in Python cannot be made.
+    """Make the run once more, in this process. `progress`: called with the share that is done. Raises CheckError if a
+    check in Python cannot be made.
     """
     watch = _Watch(scenario, _every(scenario))
     runner, log = in_process(scenario, watch), NoLog()
@@ -172,7 +151,7 @@ class HealingSearch:
         """Prepare it; `tell` is called now and then with what is being done and how many runs were made."""
         self._scenario, self._check, self._engine, self._tell = remade.scenario, check, engine, tell
         self._modules, self._tree = modules, tree_of(remade.scenario)
-        self._over_time = check in checks_over_time(remade.scenario)
+        self._text = json.dumps(self._tree)
         self._moments = self._candidates(remade)
         self._known: dict[int, HealedRun] = {}  # by tick
 
@@ -205,48 +184,43 @@ class HealingSearch:
         last = max((_end(fault) for fault in faults), default=inf)
         without = [one for one in moments if one.tick * tick_ns <= begins]
         others = [one for one in moments if begins < one.tick * tick_ns < last]
-        return [*(without[-1:] or [HealMoment(0, b"", False)]), *others]
+        return [*(without[-1:] or [HealMoment(0, False)]), *others]
 
     def _try(self, places: Sequence[int]) -> None:
-        new = [self._moments[k] for k in dict.fromkeys(places) if self._moments[k].tick not in self._known]
-        tasks = {moment.tick: self._task(moment) for moment in new}
+        new = sorted({self._moments[k].tick for k in places} - self._known.keys())
+        lines = -(-len(new) // _THEN)  # each is made by one worker, which goes along the run
+        tasks = [self._task(tuple(new[first::lines])) for first in range(lines)]
+        count = len(self._known)
         rows: dict[str, Row] = {}
 
         def take(more: list[Row]) -> None:
             rows.update((row.key, row) for row in more)
-            self._tell(RUNS, len(self._known) + len(rows))
+            self._tell(RUNS, count + sum(len(row.futures) for row in rows.values()))
 
-        made = [task for task in tasks.values() if task is not None]
-        self._engine.make(iter(made), take, lambda: self._tell(RUNS, len(self._known) + len(rows)))
-        for tick, task in tasks.items():
-            at_s = tick * self._scenario.tick_ns / 1e9
-            passed = None if task is None else self._passed(rows[task.key], task)
-            self._known[tick] = HealedRun(at_s, passed, task is not None and task.branch is not None)
+        self._engine.make(iter(tasks), take, lambda: self._tell(RUNS, count))
+        for task in tasks:
+            row = rows[task.key]
+            if not row.futures:
+                raise StudyError(f"a healed run does not come to its end: {row.reason}")
+            for (tick, text), future in zip(task.healed, row.futures, strict=True):
+                at_s = tick * self._scenario.tick_ns / 1e9
+                self._known[tick] = HealedRun(at_s, self._passed(future, text))
 
-    def _task(self, moment: HealMoment) -> Task | None:
-        """Make the run that is healed at a moment. None: the healed text is not a valid scenario."""
-        tree = healed(self._tree, moment.tick * self._scenario.tick_ns)
-        text, seed = json.dumps(tree), self._scenario.seed
-        key = run_key(f"{text}\nhealed at {moment.tick} {self._check}")
-        task = Task(key, 0, seed, self._scenario.name, text, inf, self._modules)
-        try:
-            absences = scenario_of(task).faults.absences
-        except ScenarioError:
-            return None
-        if not self._over_time or not moment.state or _lacks_an_agent(moment, Lives(absences)):
-            return task
-        return task._replace(branch=Branch(self._check, 0, moment.state))
+    def _task(self, ticks: tuple[int, ...]) -> Task:
+        """Make the runs that are healed at some ticks."""
+        tick_ns, seed = self._scenario.tick_ns, self._scenario.seed
+        each = tuple((tick, json.dumps(healed(self._tree, tick * tick_ns))) for tick in ticks)
+        key = run_key(f"{self._text}\nhealed at {ticks} {self._check}")
+        return Task(key, 0, seed, self._scenario.name, self._text, inf, self._modules, healed=each)
 
-    def _passed(self, row: Row, task: Task) -> bool | None:
+    def _passed(self, row: Row, text: str) -> bool | None:
         if not row.judged:
             raise StudyError(f"a healed run does not come to its end: {row.reason}")
-        if row.part is not None:
-            return row.part.best >= 0.0
         check = row.checks.get(self._check)
         if check is None:  # it was about a fault that never began
             return True
         if check.passed is None:  # there was nothing to judge, or no time for it
-            return None if json.loads(task.text).get("faults") else True
+            return None if json.loads(text).get("faults") else True
         return check.passed
 
     def _bounds(self) -> tuple[int | None, int | None]:
@@ -270,7 +244,7 @@ class HealingSearch:
             return NoReturn(how, words, None, tried[0].at_s, tried)
         passes = self._known[self._moments[low].tick]
         if high is None:
-            words = f"healed at {passes.at_s:g} s, the last snapshot before it failed, it still passes ({runs})"
+            words = f"healed at {passes.at_s:g} s, the last moment before it failed, it still passes ({runs})"
             return NoReturn(how, words, passes.at_s, None, tried)
         fails = self._known[self._moments[high].tick]
         then = "it fails" if fails.passed is False else "there is no time left to judge it"
@@ -308,10 +282,3 @@ def _spread(first: int, last: int, count: int) -> list[int]:
     if count == 1:
         return [first]
     return list(dict.fromkeys(first + round(k * (last - first) / (count - 1)) for k in range(count)))
-
-
-def _lacks_an_agent(moment: HealMoment, lives: Lives) -> bool:
-    """Whether a snapshot has no memory of an agent that is there in the healed run, which so cannot begin with it."""
-    snapshot = Snapshot.from_bytes(moment.state)
-    vehicles = [known.vehicle for known in vehicle_memories(snapshot.world)]
-    return any(i not in snapshot.memories and not lives.without_agent(i, moment.tick) for i in vehicles)

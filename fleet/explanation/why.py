@@ -23,10 +23,10 @@ from fleet.explanation.evidence import (
     evidence,
     first_older,
 )
-from fleet.explanation.no_return import HealingSearch, NoReturn, Remade, remake, with_moments
+from fleet.explanation.no_return import HealingSearch, NoReturn, Remade, remake
 from fleet.logs.open_log import Log, open_log
 from fleet.logs.reader import digest
-from fleet.logs.schemas import CLOCK, FROM, START
+from fleet.logs.schemas import CLOCK, FROM
 from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
@@ -127,8 +127,7 @@ class Explanation:
         return self._remade is not None and self._question.most_runs > 0
 
     def _remake(self) -> Remade:
-        scenario = with_moments(self.scenario)
-        return remake(scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
+        return remake(self.scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
 
     def _of_origin(self, source: Recorded) -> tuple[list[str], list[Verdict]]:
         """Compare the scenario with that of the run that this one goes on from.
@@ -245,7 +244,7 @@ def _why_not(source: Recorded, question: Question) -> str:
         return f"the agent of vehicle {vehicles} is external, so no run can be made with it again"
     if source.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
         return "it was recorded with --clock real, so no run comes out the same again"
-    if START in source.reader.attachments:
+    if source.goes_on:
         again = shlex.quote(str(source.path.parent / SCENARIO))
         return f"it goes on from another run, so it is not healed; fleet run {again} makes it from the start"
     return ""

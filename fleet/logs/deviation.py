@@ -21,7 +21,7 @@ from msgspec import Meta, Struct
 from fleet.logs.decoder import Decoder, FieldValue
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block
-from fleet.logs.schemas import ANEW, FROM, FROM_TICK, START
+from fleet.logs.schemas import FROM, FROM_TICK, OLD_START, START
 
 # --- first difference of two logs: the first message that is not the same in both, field by field
 
@@ -131,7 +131,7 @@ def besides_messages(a: LogReader, b: LogReader) -> list[str]:
     """Further differences of two logs: attachments, metadata and the declarations of topics. Where only one of the runs
     goes on from another, that it does so is no difference.
     """
-    start: set[str] = {START, FROM, FROM_TICK, ANEW} if begin_ns(a) != begin_ns(b) else set()
+    start: set[str] = {START, OLD_START, FROM, FROM_TICK, "without memory"} if begin_ns(a) != begin_ns(b) else set()
     names = sorted((a.attachments.keys() | b.attachments.keys()) - start)
     found = [f"attachment {name}" for name in names if a.attachments.get(name) != b.attachments.get(name)]
     for name in sorted(a.metadata.keys() | b.metadata.keys()):

@@ -23,8 +23,10 @@ from world.signal import Signal
 
 PACKAGE = "uuv_fleet"
 CLOCK = "clock"  # key in metadata `run`, where the run was not in lockstep, and so is not repeatable
-START = "start.msgpack"  # the attachment of a log that holds where its run began, if that went on from another
-FROM, FROM_TICK, ANEW = "from", "from tick", "without memory"  # what the metadata of such a run say of it
+START = "start.json"  # the attachment of a log that holds where its run began, if that went on from another
+OLD_START = "start.msgpack"  # the same of a log with snapshots, as versions before wrote it
+SNAPSHOTS = "snapshot"  # topic of such logs, which nobody reads any more
+FROM, FROM_TICK = "from", "from tick"  # what the metadata of a run say that goes on from another
 DOUBLE = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
 UINT32 = descriptor_pb2.FieldDescriptorProto.TYPE_UINT32
 STRING = descriptor_pb2.FieldDescriptorProto.TYPE_STRING
@@ -76,7 +78,6 @@ FAULT = (
     MessageField("action", "", "begins or ends", type=STRING),
     MessageField("what", "", "in the words of a scenario", type=STRING),
 )
-SNAPSHOT = (MessageField("state", "", "all that determines the rest of the run, as MessagePack", type=BYTES),)
 PACKET = (
     MessageField("seq", "1", "number of the payload on this directed link", type=UINT32),
     MessageField("copy", "1", "0 for the original, 1.. for duplicates", type=UINT32),
@@ -103,7 +104,7 @@ CARRIED = (
 )
 # By name, the schemas that every log of a run may have.
 _OURS = {"State": STATE, "StateWithRoll": STATE + ROLL, "Command": COMMAND, "Error": ERROR, "Clock": CLOCK_ERROR}
-_OURS |= {"Belief": BELIEF, "Fix": FIX, "Located": LOCATED, "Fault": FAULT, "Snapshot": SNAPSHOT}
+_OURS |= {"Belief": BELIEF, "Fix": FIX, "Located": LOCATED, "Fault": FAULT}
 _OURS |= {"Packet": PACKET, "RangedPacket": RANGED, "CarriedPacket": CARRIED}
 OURS = {f"{PACKAGE}.{name}": columns for name, columns in _OURS.items()}
 

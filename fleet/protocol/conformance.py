@@ -13,7 +13,7 @@ import shlex
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from secrets import token_hex
@@ -42,7 +42,6 @@ from netem.wire.messages import (
     End,
     Hello,
     Inbox,
-    Memory,
     Message,
     Nav,
     Note,
@@ -97,13 +96,12 @@ GAP = "goes on after ticks in which it was not asked"
 ROLLS = "answers a nav with roll, its sixth field"
 SHOWS = "answers a nav with what its clock shows, its seventh field"
 BELIEVES = "answers a nav with belief, its eighth field"
-MEMORY = "puts memory, if at all, before the cmd of a tick at which it is asked for"
 UNASKED = "puts nothing that it was not asked for"
 FORM = "puts well-formed messages of its own kinds only"
 ENDS = "closes its session when it is told the end"
 CHECKS = (
     *(ASKS, HELLO, READY, TOKEN, COMMANDS, TRANSMITS, LATE, PARTS, DAMAGED),
-    *(MALFORMED, EARLIER, GAP, ROLLS, SHOWS, BELIEVES, MEMORY, UNASKED, FORM, ENDS),
+    *(MALFORMED, EARLIER, GAP, ROLLS, SHOWS, BELIEVES, UNASKED, FORM, ENDS),
 )
 
 
@@ -129,7 +127,7 @@ class ProtocolCheck:
 
 
 MOST_NOTES = 100
-KINDS = {"cmd": (Hello, Command, Memory), "tx": (Hello, Transmission), "note": (Note,)}
+KINDS: dict[str, tuple[type, ...]] = {"cmd": (Hello, Command), "tx": (Hello, Transmission), "note": (Note,)}
 
 
 class EmulatedFleet:
@@ -254,7 +252,7 @@ class Examination:
             if path.exists():
                 raise FleetError(f"{path} is there already: choose another place with --join-file FILE")
         self._m = scenario.round_ticks
-        self._config = replace(scenario.agent_config(vehicle), memory_ticks=2 * self._m)
+        self._config = scenario.agent_config(vehicle)
         self._telemetry = scenario.layout(vehicle).size
         self._state = scenario.initial[vehicle - 1]
         self._more: tuple[Any, ...] = ()  # the further fields of a nav: roll, clock_ns, belief
@@ -312,7 +310,7 @@ class Examination:
             try:
                 return self._fleet.take(deadline - time.monotonic())
             except MalformedMessage as error:
-                self._fail(FORM, "hello, memory and cmd on cmd, hello and tx on tx", error)
+                self._fail(FORM, "hello and cmd on cmd, hello and tx on tx", error)
                 raise _BrokenOffError from None
             except OutOfPlace as error:
                 self._fail(HELLO, str(error.expected), error.got)
@@ -337,7 +335,7 @@ class Examination:
         self._handshake(timeout_s)
         self._known = begin
         self._ask(begin)
-        self._reached |= {COMMANDS, TRANSMITS, MEMORY, UNASKED, FORM}
+        self._reached |= {COMMANDS, TRANSMITS, UNASKED, FORM}
         eta, _ = self._state
         self._send_nav(begin + 1)
         self._silence(LATE, begin + 1, f"no answer to nav {begin + 1} before an rx that covers it")
@@ -425,10 +423,6 @@ class Examination:
                 self._fail(blame, f"cmd of tick {tick}", why)
                 raise _BrokenOffError
             match taken[1]:
-                case Memory() as memory:
-                    if tick % (2 * self._m) or (memory.incarnation, memory.tick) != (LIFE, tick):
-                        asked = f"memory of a tick divisible by {2 * self._m}, before its cmd"
-                        self._fail(MEMORY, asked, f"{_shown(memory)} while tick {tick} is due")
                 case Transmission() as transmission:
                     if tick % self._m:
                         self._fail(TRANSMITS, f"no tx at tick {tick}: rounds are {self._m} ticks", _shown(transmission))
@@ -488,7 +482,7 @@ class Examination:
 
 def _shown(message: Message) -> str:
     match message:
-        case Command() | Transmission() | Memory():
-            kind = {Command: "cmd", Transmission: "tx", Memory: "memory"}[type(message)]
+        case Command() | Transmission():
+            kind = "cmd" if isinstance(message, Command) else "tx"
             return f"{kind} of incarnation {message.incarnation}, tick {message.tick}"
     return type(message).__name__.lower()

@@ -67,7 +67,6 @@ FIELDS: dict[type, dict[str, Meaning]] = {
         "on_error": ("str", "", "abort, coast or die: what ours does when a law fails"),
         "budget_s": ("real", "s", "wall time that a law of ours may take for a sample; 0: any"),
         "codec": ("str", "", "full, compact or located: which payload the scenario wants, at the end of this page"),
-        "memory_ticks": ("uint", "tick", "between two `memory` messages, which yours may leave out; 0: none"),
         "standby_for": ("uint[*]", "", "neighbours; while it hears none of them it follows the reference itself"),
         "standby_after_s": ("real", "s", "for so long it must not have heard them"),
         "keep_apart": ("KeepApartParams or null", "", "what keeps vehicles apart; yours may do the same"),
@@ -364,7 +363,7 @@ to understand ours, and be understood, use the payload at the end of this page. 
 to every neighbour that hears you. `tx` without payloads is the null message, and is required: the round waits for it.
 
 `cmd` carries surge force, pitch and yaw moment. The world clips them. `telemetry` is empty, or has all the values that
-the laws named in the slice declare; leave it empty. `memory` is optional: without it the log has no snapshots.
+the laws named in the slice declare; leave it empty.
 
 An answer has no limit of wall time, because simulated time waits. But if the run stands still for the scenario's
 `stall_timeout` (30 s), it ends, and names the process that it waited for. For a log that repeats, answer from your
@@ -375,7 +374,7 @@ deliveries that have come and are due. An `rx` then comes only with content, and
 
 ## The bus of a vehicle
 
-`nav`, `end` and `cmd` with `memory` are the wires within a vehicle, from its sensors to its agent and from there to its
+`nav`, `end` and `cmd` are the wires within a vehicle, from its sensors to its agent and from there to its
 actuators. For an agent that a run starts in lockstep, with a process of its own, they are a pair of Unix sockets
 (`SOCK_SEQPACKET`): a packet is a message. The process inherits its end, so there is no address and no password. The
 `hello` to the world and its echo go there, too. Your agent has the keys `nav/<i>` and `cmd/<i>` instead, as agents that
@@ -398,7 +397,7 @@ World and netem refuse these messages:
 * a message on the wrong key, malformed, or of another incarnation or version;
 * `cmd` without an unanswered nav, or of another tick;
 * `tx` of a tick that is no round tick, that was exchanged, or that already has one from you;
-* telemetry of another size, and `memory` that does not belong to the unanswered nav.
+* telemetry of another size.
 
 They count them in `result.json`, report the first one to the console (`rejected on ...`, among the notes of the run),
 and drop them. The correct message is still due.

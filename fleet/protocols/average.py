@@ -17,7 +17,7 @@ there.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from random import Random
 from typing import Any
 
@@ -68,18 +68,6 @@ class NaiveAverage:
     def _is_valid(self, values: Any, delivery: Delivery) -> bool:
         shape = isinstance(values, list) and len(values) == 2 and delivery.src in self._neighbours
         return shape and is_count(values[0], _MOST_DEGREE) and is_real(values[1], MOST)
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on."""
-        heard = [[j, *values] for j, values in self._heard.items()]
-        own = [self._average, self._refused]
-        return {"formation": self._formation.state(), "own": own, "heard": heard}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-        self._formation.restore(values["formation"])
-        self._average, self._refused = values["own"]
-        self._heard = {j: (degree, average) for j, degree, average in values["heard"]}
 
 
 @dataclass(slots=True)
@@ -209,18 +197,6 @@ class ExactAverage:
                 for j, opened, hears, value, weight in sums
             )
         )
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on."""
-        own = [self._average, self._value, self._weight, self._refused]
-        links = [[j, *astuple(link)] for j, link in self._links.items()]
-        return {"formation": self._formation.state(), "own": own, "links": links}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-        self._formation.restore(values["formation"])
-        self._average, self._value, self._weight, self._refused = values["own"]
-        self._links = {j: _Link(*link) for j, *link in values["links"]}
 
 
 def _measurement(config: AgentConfig, value: float | None) -> float:

@@ -19,7 +19,7 @@ between two bids, so its gains need not diminish by themselves (Johnson, Choi, H
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 NOBODY = 0
 
@@ -144,20 +144,6 @@ class Bidder:
                 self.bids[j], self.winners[j] = 0.0, NOBODY
             self.path.remove(j)
         del self.bundle[kept:]
-
-    def state(self) -> dict[str, Any]:
-        """Plain values of everything."""
-        heard = [[m, tick] for m, tick in self.heard.items()]
-        return {
-            "bids": list(self.bids), "winners": list(self.winners), "heard": heard,
-            "bundle": list(self.bundle), "path": list(self.path),
-        }  # fmt: skip
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-        self.bids, self.winners = list(values["bids"]), list(values["winners"])
-        self.heard = dict(values["heard"])
-        self.bundle, self.path = list(values["bundle"]), list(values["path"])
 
 
 def outbids(bid: float, bidder: int, other: float, winner: int) -> bool:

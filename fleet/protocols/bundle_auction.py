@@ -189,27 +189,6 @@ class BundleAuction:
             (px + x * ahead, py + y * ahead, pz + z * ahead), (x * self._speed, y * self._speed, z * self._speed)
         )
 
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on, as plain values."""
-        return {
-            "formation": self._formation.state(),
-            "bidder": self._bidder.state(),
-            "plan": None if self._plan is None else [self._plan[0], *self._plan[1]],
-            "done": sorted(self._done),
-            "counts": [self._released, self._refused],
-        }
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-        self._formation.restore(values["formation"])
-        self._bidder.restore(values["bidder"])
-        self._plan = None
-        if values["plan"] is not None:
-            t, x, y, z = values["plan"]
-            self._plan = t, (x, y, z)
-        self._done = set(values["done"])
-        self._released, self._refused = values["counts"]
-
 
 def _is_news(pair: Any, latest: int) -> bool:
     """Whether `pair` is the number of a vehicle and a tick up to `latest`."""

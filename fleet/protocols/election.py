@@ -149,15 +149,3 @@ class Election:
                 for i, made, candidate, until in values
             )
         )
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on."""
-        own = [self._silent_until, self._candidate, self._until, self._refused]
-        others = [[i, *record] for i, record in self._others.items()]
-        return {"formation": self._formation.state(), "own": own, "others": others}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-        self._formation.restore(values["formation"])
-        self._silent_until, self._candidate, self._until, self._refused = values["own"]
-        self._others = {i: _Record(*record) for i, *record in values["others"]}

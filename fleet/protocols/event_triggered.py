@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import dist, isfinite
-from typing import Any
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Motion, Nav, Signal, Telemetry, Vec3, earth_velocity
 
@@ -105,20 +104,6 @@ class EventTriggered:
             drift = [0.0, 0.0, 0.0]
         off = dist(motion.position, [p + d for p, d in zip(place, drift, strict=True)])
         return off + self._ahead_s * dist(motion.velocity, velocity)
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on, as plain values."""
-        told = None if self._told is None else [self._told[0], *self._told[1].position, *self._told[1].velocity]
-        return {"formation": self._formation.state(), "told": told, "sent": self._sent, "unsaid": self._unsaid}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-        self._formation.restore(values["formation"])
-        self._told = None
-        if values["told"] is not None:
-            tick, x, y, z, vx, vy, vz = values["told"]
-            self._told = tick, Motion((x, y, z), (vx, vy, vz))
-        self._sent, self._unsaid = values["sent"], values["unsaid"]
 
 
 def _motion(nav: Nav) -> Motion:

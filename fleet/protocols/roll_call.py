@@ -97,14 +97,3 @@ class RollCall:
             and all(isinstance(pair, list) and len(pair) == 2 for pair in values)
             and all(is_count(i, self._vehicles) and i != 0 and is_count(phase, _MOST_PHASES) for i, phase in values)
         )
-
-    def state(self) -> dict[str, Any]:
-        """Everything that the next sample depends on."""
-        own = [self._since, self._refused]
-        return {"formation": self._formation.state(), "own": own, "phases": sorted(self._phases.items())}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Continue from `state()`."""
-        self._formation.restore(values["formation"])
-        self._since, self._refused = values["own"]
-        self._phases = dict(values["phases"])

@@ -57,7 +57,8 @@ class Connectivity:
         self.ticks = 0  # windows that were not connected
         self.windows = 0
 
-    def resume(self, tick: int) -> None:
+    def begin(self, tick: int) -> None:
+        """Count windows that begin at this tick or later."""
         self._first = max(self._first, tick + self._window - 1)
 
     @property

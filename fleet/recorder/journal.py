@@ -13,14 +13,12 @@ from dataclasses import replace
 from itertools import count
 from typing import NamedTuple, Protocol
 
-import msgpack
 from msgspec import structs
 
 from fleet.checks.own_checks import OwnChecks
 from fleet.recorder.connectivity import Connectivity
 from fleet.recorder.metrics import Metrics, VehicleError
 from fleet.recorder.separation import Separation
-from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import Event, event_order
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
@@ -30,7 +28,6 @@ from netem.ledger import Ledger
 from netem.lives import Absence
 from netem.wire.codec import decode
 from netem.wire.messages import Command, Fate, Frame, LinkReport
-from world.config import vehicle_memories
 
 
 class Spell(NamedTuple):
@@ -47,7 +44,6 @@ class JournalSink(Protocol):
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
     def packet(self, fate: Fate) -> None: ...
     def event(self, event: Event) -> None: ...
-    def snapshot(self, snapshot: Snapshot) -> None: ...
 
 
 class Journal:
@@ -72,7 +68,7 @@ class Journal:
         self.separation = Separation.asked(scenario)
         self.connectivity = Connectivity.asked(scenario)
         self.happened: list[Event] = []  # those of the events that are written
-        self.begin = 0  # the tick at which the run begins; another one if it goes on from a snapshot
+        self.begin = 0  # the tick at which the run begins; another one if it goes on from another run
         self.written = -1  # complete in the log up to this tick
         self.framed = -1
         self.reported = -1
@@ -95,25 +91,30 @@ class Journal:
         self._frames: deque[Frame] = deque()
         self._parts: list[Frame] = []  # of a frame whose rest is still to come
         self._fates: deque[Fate] = deque()
-        self._network: dict[int, bytes] = {}  # what the network remembers before a round
 
-    def resume(self, snapshot: Snapshot) -> None:
-        """Begin at the moment of a snapshot: what was before counts in the ledger, and in nothing else."""
-        tick = self.begin = snapshot.tick
+    def take_over(
+        self, tick: int, before: Journal, diverged: Iterable[int], tumbled: Mapping[int, tuple[int, int]]
+    ) -> None:
+        """Begin at a tick to which another run was made: what was before counts in the ledger, and in nothing else.
+
+        Args:
+            tick: a round tick with a frame.
+            before: the journal of the other run.
+            diverged: the vehicles that are not integrated any more.
+            tumbled: by vehicle that is tumbled, how often it has tumbled and since which tick.
+        """
+        self.begin = tick
         self.written, self.framed, self.reported = tick - 1, tick - self._frame_every, tick - self._round_ticks
-        for src, dst, values in snapshot.network["ledger"]:
-            self.ledger.restore((src, dst), values | {"sent": 0, "duplicated": 0})  # they come at the end
-        self.ages.resume(tick, snapshot.heard)
+        self.ledger = before.ledger
+        self.ages.begin(tick, before.ages)
         if self.connectivity is not None:
-            self.connectivity.resume(tick)
+            self.connectivity.begin(tick)
         while self._events and self._events[0].tick < tick:
             self._happens(self._events.popleft())
-        for known in vehicle_memories(snapshot.world):
-            tumbling = known.tumbling
-            if known.diverged:
-                self._happens(self._diverges(known.vehicle, tick))
-            elif tumbling is not None and tumbling.tumbled:
-                self._happens(self._tumbles_from(known.vehicle, tumbling.since, tumbling.number))
+        for i in diverged:
+            self._happens(self._diverges(i, tick))
+        for i, (number, since) in sorted(tumbled.items()):
+            self._happens(self._tumbles_from(i, since, number))
 
     @property
     def complete(self) -> bool:
@@ -150,13 +151,16 @@ class Journal:
         if not report.closing and report.until != expected:
             raise OutOfPlace("link report", expected, report.until)
         self._fates.extend(report.fates)
-        if report.memory:
-            self._network[report.until] = self._network.get(report.until, b"") + report.memory
         if report.more:
             return
         self.reported = report.until
         self.closed = report.closing
         self._write()
+
+    def write_up(self, tick: int, fates: Iterable[Fate]) -> None:
+        """Write everything up to a tick, with the fates of the round that is not reported yet."""
+        self._fates.extend(fates)
+        self._write_up_to(tick)
 
     def _write(self) -> None:
         limit = min(self.framed, self.reported)
@@ -176,10 +180,6 @@ class Journal:
                 self.checks.frame(frame, commands, errors)
             if self.separation is not None:
                 self.separation.frame(frame)
-            network = self._network.pop(frame.tick, b"")
-            if frame.memory and network:
-                both = msgpack.unpackb(frame.memory), msgpack.unpackb(network)
-                self.log.snapshot(Snapshot(frame.tick, *both, self.ages.heard()))
         self._write_fates(limit)
         self.written = limit
 
@@ -281,7 +281,6 @@ def _joined(parts: list[Frame]) -> Frame:
         vehicles=tuple(row for part in parts for row in part.vehicles),
         lives=tuple(life for part in parts for life in part.lives),
         tumbles=tuple(tumble for part in parts for tumble in part.tumbles),
-        memory=b"".join(part.memory for part in parts),
     )
 
 
@@ -305,7 +304,7 @@ class WatchedLog:
 
     def __init__(self, log: JournalSink, watcher: Watcher) -> None:
         self._log, self._watcher = log, watcher
-        self.packet, self.event, self.snapshot = log.packet, log.event, log.snapshot
+        self.packet, self.event = log.packet, log.event
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
         self._log.frame(frame, commands, errors)

@@ -14,7 +14,6 @@ from fleet.logs.mcap_writer import Batch, McapWriter
 from fleet.logs.records import Digest
 from fleet.logs.schemas import Schema
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.snapshot import Snapshot
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame
 
@@ -86,9 +85,6 @@ class NoDigest(NoLog):
         """Nothing to do."""
 
     def event(self, event: Event) -> None:
-        """Nothing to do."""
-
-    def snapshot(self, snapshot: Snapshot) -> None:
         """Nothing to do."""
 
 

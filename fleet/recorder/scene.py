@@ -1,9 +1,9 @@
 """The drawing for 3D viewers, as Foxglove's SceneUpdate: hulls, links and the places where the vehicles should be.
 
 Every message is complete: a viewer that jumps to a time looks no further back than to the last message of a topic, and
-a log that goes on from a snapshot has none before it. All that is remembered from one to the next is what became of the
-last packets of each link, and that stands in the snapshot. Links and places are drawn in `reference`, which moves with
-the fleet, so that they hardly lag behind the hulls between two messages.
+a log that goes on from another has none before its beginning. All that is remembered from one to the next is what
+became of the last packets of each link, and such a run takes that over. Links and places are drawn in `reference`,
+which moves with the fleet, so that they hardly lag behind the hulls between two messages.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from math import sqrt
-from typing import Any
 
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
@@ -27,7 +26,6 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.transforms import NO_TURN, Template, enu, field
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import WHERE_LOCATED, locates
@@ -49,38 +47,28 @@ UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as a
 class LinkHistories:
     """The marks that the last packets of each link left; see `fleet.scene.styles`."""
 
-    def __init__(self, links: Iterable[Link], values: Iterable[Iterable[Any]] = (), begin: int = 0) -> None:
-        """Begin with what `values` gave, at tick `begin`."""
-        self._begin = begin
+    def __init__(self, links: Iterable[Link]) -> None:
         self._of: dict[Link, deque[str]] = {link: deque(maxlen=HISTORY) for link in links}
-        for src, dst, history in values:
-            self._of[src, dst].extend(history)
 
     def settle(self, fate: Fate) -> None:
-        """Take one packet's fate; what is in flight at the end has none.
-
-        A run that goes on from a snapshot tells the fates of the round before once more: they are known.
-        """
+        """Take one packet's fate; what is in flight at the end has none."""
         mark = mark_of(fate.cause, corrupted=fate.corrupted)
-        if mark and fate.final_tick >= self._begin:
+        if mark:
             self._of[fate.src, fate.dst].append(mark)
 
     def state(self, link: Link) -> LinkState:
         """SILENT before the first packet, CUT, LOSING or DELIVERING."""
         return state_of("".join(self._of[link]))
 
-    def values(self) -> list[list[Any]]:
-        return [[src, dst, "".join(history)] for (src, dst), history in self._of.items()]
-
 
 class Scene:
     """The scene of one run; receives packets and frames as the log is written."""
 
-    def __init__(self, scenario: Scenario, start: Snapshot | None = None) -> None:
-        """`start`: the snapshot that the run continues."""
+    def __init__(self, scenario: Scenario, links: LinkHistories | None = None) -> None:
+        """`links`: those of the run that this one continues."""
         self._scenario = scenario
         self._model = SceneModel(scenario)
-        self.links = LinkHistories(scenario.graph.links, *(() if start is None else (start.drawn, start.tick)))
+        self.links = links or LinkHistories(scenario.graph.links)
         self._seen: Frame | None = None  # the last at which they were asked
         self._commanded: dict[int, int] = {}  # at which tick last
         masses = {i: scenario.controls[i - 1].vehicle.m for i in range(1, scenario.vehicles + 1)}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import platform
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from importlib.metadata import version
 from math import nan
 from struct import Struct
@@ -24,7 +23,6 @@ from agents.config import AgentConfig
 from agents.controllers import law_class, laws
 from fleet.logs.mcap_writer import Batch
 from fleet.logs.schemas import (
-    ANEW,
     BELIEF,
     CARRIED,
     CLOCK,
@@ -39,7 +37,6 @@ from fleet.logs.schemas import (
     PACKET,
     RANGED,
     ROLL,
-    SNAPSHOT,
     START,
     STATE,
     Schema,
@@ -53,12 +50,11 @@ from fleet.logs.schemas import (
 from fleet.logs.topic_names import link_topic
 from fleet.recorder.log_file import SECOND_NS
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.scene import SCENE_UNITS, Scene
-from fleet.recorder.snapshot import TOPIC, Snapshot, Start
+from fleet.recorder.scene import SCENE_UNITS, LinkHistories, Scene
+from fleet.recorder.start import Start
 from fleet.recorder.tick_messages import TickMessages, VehicleTopic
 from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.log_rates import without_snapshots
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT, locates
 from fleet.scenario.sections.timeline import Event
 from netem.fault_kinds import Cause
@@ -143,8 +139,9 @@ class LogWriter:
         start: Start | None = None,
         tap: Tap | None = None,
         clock: Clock = Clock.LOCKSTEP,
+        links: LinkHistories | None = None,
     ) -> None:
-        """Write the scenario and declare all channels. `start`: where the run goes on from a snapshot of another run.
+        """Write the scenario and declare all channels. `start`: where the run goes on from another, and `links`: of it.
         `tap` receives a copy of every message. A wall `clock` is named in the metadata. Raises LogError if the sink is
         a file and cannot be written; so do all methods.
         """
@@ -173,14 +170,11 @@ class LogWriter:
         fix = flat_schema("Fix", FIX) if navigating else None
         self._fix = None if fix is None else fix.message
         self._fixes = {} if fix is None else {i: self._channel(f"uuv/{i}/fix", fix) for i in navigating}
-        self._scene = Scene(scenario, None if start is None else start.snapshot)
+        self._scene = Scene(scenario, links)
         self._drawn = self._drawings()
         fault = flat_schema("Fault", FAULT)
         self._fault = fault.message
         self._faults = self._channel("faults", fault)
-        snapshot = flat_schema("Snapshot", SNAPSHOT)
-        self._snapshot = snapshot.message
-        self._snapshots = self._channel(TOPIC, snapshot)
         ranging = scenario.acoustic is not None and scenario.acoustic.ranging is not None
         packet = flat_schema("RangedPacket", RANGED) if ranging else flat_schema("Packet", PACKET)
         self._packet_data = ranged_data if ranging else packet_data
@@ -191,7 +185,7 @@ class LogWriter:
     def _write_head(self, start: Start | None, clock: Clock) -> None:
         self._sink.attachment("scenario.yaml", "application/yaml", self._scenario.to_yaml().encode())
         if start is not None:
-            self._sink.attachment(START, "application/msgpack", start.snapshot.to_bytes())
+            self._sink.attachment(START, "application/json", start.to_json())
         other = {} if clock is Clock.LOCKSTEP else {CLOCK: clock}
         self._sink.metadata("run", run_metadata(self._scenario, start) | other)
 
@@ -303,12 +297,10 @@ class LogWriter:
         self._add(self._faults, at_ns, at_ns, event.tick, message.SerializeToString())
         self._sink.flush(at_ns)
 
-    def snapshot(self, snapshot: Snapshot) -> None:
-        """Write everything that determines the rest of the run."""
-        at_ns = snapshot.tick * self._tick_ns
-        snapshot = replace(snapshot, drawn=self._scene.links.values())
-        message = self._snapshot(state=snapshot.to_bytes())
-        self._add(self._snapshots, at_ns, at_ns, snapshot.tick, message.SerializeToString())
+    @property
+    def links(self) -> LinkHistories:
+        """What became of the last packets of each link."""
+        return self._scene.links
 
 
 def _both(sink: MessageSink, tap: Tap) -> Callable[[int, int, int, int, bytes], None]:
@@ -321,8 +313,10 @@ def _both(sink: MessageSink, tap: Tap) -> Callable[[int, int, int, int, bytes], 
 
 def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, str]:
     """The metadata that determine a run's result, in addition to the scenario attachment."""
-    sources = {f"law {law.name}": law_class(kind, law) for kind, law in scenario.other_laws}
-    sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in scenario.plants.items()}
+    scenarios = [scenario, *(leg.scenario for leg in (start.legs if start is not None else ()))]
+    sources = {f"law {law.name}": law_class(kind, law) for each in scenarios for kind, law in each.other_laws}
+    plants = {name: plant for each in scenarios for name, plant in each.plants.items()}
+    sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in plants.items()}
     found = {
         "scenario": scenario.name,
         "seed": str(scenario.seed),
@@ -338,7 +332,7 @@ def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, st
         **({"nodes": " ".join(scenario.nodes)} if scenario.nodes else {}),
     }
     if start is not None:
-        found |= {FROM_TICK: str(start.snapshot.tick), FROM: start.source, ANEW: " ".join(map(str, start.anew))}
+        found |= {FROM_TICK: str(start.tick), FROM: start.source}
     return found
 
 
@@ -347,8 +341,7 @@ def _resumable(scenario: Scenario) -> str:
         return "no: its programs are not ours"
     if scenario.external:
         return f"no: {', '.join(map(str, scenario.external))} external, whose agents keep what they remember"
-    without = without_snapshots(scenario.other_laws)
-    return "yes" if not without else f"no: {', '.join(without)} has no state() and restore()"
+    return "yes"
 
 
 def schema_name(config: AgentConfig, group: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.reader import LogReader, Record, Tell, log_path
-from fleet.logs.schemas import CLOCK, FAULT, START
+from fleet.logs.schemas import CLOCK, FAULT, FROM
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
@@ -45,13 +45,18 @@ class Recorded:
                 f"{what}; in lockstep it can be repeated: fleet export {self.path} --scenario > again.yaml"
             )
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether its run went on from another."""
+        return FROM in self.reader.metadata.get("run", {})
+
     def script(self, overrides: Sequence[str | Override] = (), policy: Policy = READING) -> Scenario:
         """The scenario, its faults taken from what happened, with overrides as for `fleet run --set`. `policy`: which
         modules of laws may be imported for it; by itself none. Raises ScenarioError if it is none for this version, or
         an override is wrong; FleetError if a fault that happened is none for this version.
         """
         policy = replace(policy, own=ran_from(self.text))
-        if START in self.reader.attachments:
+        if self.goes_on:
             # Gone on from another run, in one process: nothing was injected, and what was before is not in this log.
             return parse_scenario(self.text, str(self.path), overrides, policy=policy)
         return rerun(self.path, self.text, self.events, self.last_ns, overrides, policy)

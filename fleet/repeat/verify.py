@@ -15,7 +15,7 @@ from pathlib import Path
 from struct import error as struct_error
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from msgspec import Meta, MsgspecError, Struct, convert, json
 from msgspec import field as entry
 
 from agents.loop import AgentLoop
@@ -26,16 +26,27 @@ from fleet.errors import FleetError
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import named
 from fleet.execution.in_process import in_process
+from fleet.execution.moments import reach
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import Difference, Side, difference, side
 from fleet.logs.mcap_writer import Batch
 from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
-from fleet.logs.schemas import COMMAND, PACKET, SNAPSHOT, Doubles, MessageField, Schema, signal_columns
+from fleet.logs.schemas import (
+    COMMAND,
+    FROM,
+    OLD_START,
+    PACKET,
+    SNAPSHOTS,
+    START,
+    Doubles,
+    MessageField,
+    Schema,
+    signal_columns,
+)
 from fleet.logs.topic_names import link_of
-from fleet.recorder.snapshot import TOPIC, Snapshot, Start
+from fleet.recorder.start import Leg, Start
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_run import Recorded, recorded
-from fleet.repeat.resume import start_of
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
@@ -47,7 +58,7 @@ from netem.wire.messages import Delivery, Nav
 from world.vectors import ZERO, Vec3
 
 # --- recorded agent: an agent that sends again what an external agent sent in a log, whose law is not available here
-# Its commands, telemetry and memory are recorded. Its transmissions follow from the packets of its links: at least one
+# Its commands and telemetry are recorded. Its transmissions follow from the packets of its links: at least one
 # link has each payload as it was sent, or with a flipped bit that can be turned back.
 
 
@@ -66,12 +77,11 @@ class RecordedAgent:
     commands: dict[int, Vec3] = field(default_factory=dict)
     telemetry: dict[int, list[float]] = field(default_factory=dict)
     payloads: dict[int, list[bytes]] = field(default_factory=dict)
-    memories: dict[int, bytes] = field(default_factory=dict)
     known: float = inf  # what it sent after this tick may be missing
 
     def loop(self, incarnation: int, begin: int) -> AgentLoop:
         core = _RecordedCore(self)
-        return AgentLoop(core, self.round_ticks, incarnation=incarnation, begin=begin, memories=self.memories)
+        return AgentLoop(core, self.round_ticks, incarnation=incarnation, begin=begin)
 
 
 class _RecordedCore:
@@ -90,12 +100,6 @@ class _RecordedCore:
                 raise NotRecordedError(f"the log holds no command of vehicle {agent.vehicle} at tick {tick}")
             tau = ZERO  # of a log that ends within this tick: nothing that follows is compared
         return Decision(tau, tuple(agent.telemetry.get(tick, ())))
-
-    def state(self) -> dict[str, Any]:
-        return {}
-
-    def restore(self, values: dict[str, Any], /) -> None:
-        raise AssertionError("a run with external agents does not go on from a snapshot")
 
     def take_notes(self) -> list[tuple[int, str]]:
         return []
@@ -145,13 +149,12 @@ class _Reading:
         if head == "uuv":
             number, _, group = rest.partition("/")
             self._sample(int(number), group, tick, record.data)
-        elif (link := link_of(record.topic)) is not None:
-            if link[0] in self.agents and (link[0], record.sequence) not in self._sure:
-                self._packet(link, record)
-        elif head == TOPIC:
-            memories = Snapshot.from_bytes(self._message(record, SNAPSHOT).state).memories
-            for i in self.agents.keys() & memories.keys():
-                self.agents[i].memories[tick] = memories[i]
+        elif (
+            (link := link_of(record.topic)) is not None
+            and link[0] in self.agents
+            and (link[0], record.sequence) not in self._sure
+        ):
+            self._packet(link, record)
 
     def _sample(self, i: int, group: str, tick: int, data: bytes) -> None:
         if i in self.agents and group == "command":
@@ -235,9 +238,7 @@ def verify(
     source.insist_on_lockstep("it does not come out the same again")
     if last_ns < 0:
         raise FleetError(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}", status=3)
-    start = start_of(reader)
-    policy = Policy(checks=False, own=ran_from(source.text))
-    scenario = source.script(policy=policy) if start is not None else _scenario(source, policy)
+    start, scenario = start_of(source), as_it_was(source)
     verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     verification.external = scenario.external
     _compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
@@ -248,8 +249,11 @@ def verify(
     return verification
 
 
-def _scenario(source: Recorded, policy: Policy) -> Scenario:
+def as_it_was(source: Recorded) -> Scenario:
     """The scenario to run: the log's if the faults happened as planned, else one with the actual faults."""
+    policy = _policy(source.text)
+    if source.goes_on:
+        return source.script(policy=policy)
     scenario = parse_scenario(source.text, str(source.path), policy=policy)
     happened = [(at_ns, e.fault, e.action, e.what) for at_ns, e in source.events]
     planned = [(e.tick * scenario.tick_ns, e.fault, e.action, e.what) for e in scenario.faults.events]
@@ -259,6 +263,31 @@ def _scenario(source: Recorded, policy: Policy) -> Scenario:
     if kept <= set(planned) and (not gone or _gaps(source.reader)):
         return scenario
     return source.script(policy=policy)
+
+
+def _policy(text: str) -> Policy:
+    return Policy(checks=False, own=ran_from(text))
+
+
+def start_of(source: Recorded) -> Start | None:
+    """Where the run of a log began, if it went on from another.
+
+    Raises:
+        FleetError: the log does not say that to this version.
+        ScenarioError: what was run before does not run here.
+    """
+    if not source.goes_on:
+        return None
+    run, attached = source.reader.metadata["run"], source.reader.attachments
+    if START not in attached:
+        why = "a snapshot, which this version does not read" if OLD_START in attached else "what the file has lost"
+        raise FleetError(f"{source.path} goes on from {why}; run it anew from {run[FROM]}: fleet run --from")
+    try:
+        legs = convert(json.decode(attached[START]), list[tuple[str, int]])
+    except MsgspecError as error:
+        raise FleetError(f"{source.path}: where its run begins ({START}) is damaged: {error}") from None
+    where = f"{source.path}, {START}"
+    return Start(tuple(Leg(parse_scenario(text, where, policy=_policy(text)), k) for text, k in legs), run[FROM])
 
 
 def _gaps(reader: LogReader) -> list[int]:
@@ -309,9 +338,9 @@ class _Comparison:
         self.external = recorded_agents(LogReader(verification.path), scenario, last_ns, whole=self._complete)
         self._again = LogReader(verification.path)
         self._recorded: Iterator[Record] = iter(self._again)
-        self._expected = next(self._recorded, None)
         self._gaps = deque(_gaps(reader))
-        self._number = 0  # of the recorded message at hand
+        self._number = -1  # of the recorded message at hand
+        self._expected = self._next()
         self._topics: list[str] = []
         self._reported_ns = 0
 
@@ -340,10 +369,23 @@ class _Comparison:
         while self._gaps and self._gaps[0] <= self._number:
             self._gaps.popleft()
         self._verification.messages += 1
-        self._number += 1
-        self._expected = next(self._recorded, None)
+        self._expected = self._next()
         if self._expected is None and not self._complete:
             raise _Over
+
+    def way(self, start: Start) -> Callable[[float], None]:
+        """Tells how far it is to where the log begins."""
+        begin_s, end_s = start.tick * self._tick_ns / 1e9, self._last_ns / 1e9
+        return lambda share: self._tell(share * begin_s, end_s)
+
+    def _next(self) -> Record | None:
+        """The next recorded message, without the snapshots of older versions."""
+        for record in self._recorded:
+            self._number += 1
+            if record.topic != SNAPSHOTS:
+                return record
+        self._number += 1
+        return None
 
     def batch(self, batch: Batch) -> None:
         for message in batch.messages():
@@ -380,6 +422,31 @@ class _Comparison:
         self._verification.difference = difference(self._number, recorded, right)
 
 
+class Proof(_Comparison):
+    """A sink of the log writer that insists on the messages of a log, as far as they go."""
+
+    def __init__(self, source: Recorded, scenario: Scenario, before: Start | None) -> None:
+        self._path, self._about = source.path, source.reader.metadata.get("run", {})
+        found = Verification(source.path, source.last_ns / 1e9, scenario.duration_ns / 1e9)
+        _compare_metadata(found, self._about, run_metadata(scenario, before))
+        super().__init__(found, scenario, source.reader, source.last_ns, lambda at_s, end_s: None)
+
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        """Compare it. Raises FleetError: the log has another one."""
+        try:
+            super().message(channel, log_ns, publish_ns, sequence, data)
+        except _Over:
+            found = self._verification
+            if found.difference is None:
+                return  # the log ends here
+            likely = "".join(f"\nlikely why: {text}" for text in found.versions)
+            raise FleetError(
+                f"nothing can go on from {self._path}: its run does not come out the same again\n"
+                f"{found.difference.words}{likely}\n"
+                f"a run with what is here now: fleet run {self._path.with_name('scenario.yaml')}"
+            ) from None
+
+
 def _run_again(
     comparison: _Comparison, verification: Verification, scenario: Scenario, last_ns: int, start: Start | None
 ) -> None:
@@ -389,7 +456,10 @@ def _run_again(
     until = min(scenario.ticks, max(-(-tick // every) * every, -(-tick // m) * m) + 1)
     policy = GrantPolicy(until, scenario.tick_ns, m, every)
     agents = {i: agent.loop for i, agent in comparison.external.items()}
-    runner = in_process(scenario, LogWriter(comparison, scenario, start), start=start, agents=agents, judged=False)
+    moment = None if start is None else reach(start, comparison.way(start))
+    before, links = (None, None) if moment is None else moment
+    writer = LogWriter(comparison, scenario, start, links=links)
+    runner = in_process(scenario, writer, before, agents=agents, judged=False)
     journal, seen = runner.journal, -2
 
     def moved() -> None:

@@ -18,21 +18,21 @@ import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import astuple, replace
 
-from agents.agent import Agent
 from agents.controllers import BUILT_IN, laws
 from agents.errors import AgentError
-from agents.loop import restore
+from agents.loop import AgentCore
 from agents.make_agent import make_agent
-from agents.plugged_agent import PluggedAgent
 from fleet.errors import FleetError
+from fleet.execution.in_process import InProcess
+from fleet.execution.moments import reach
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.reader import LogReader, Record, Tell, log_path
 from fleet.logs.schemas import BELIEF, COMMAND, PACKET, ROLL, STATE, MessageField
 from fleet.logs.topic_names import link_of
-from fleet.recorder.snapshot import Start
+from fleet.recorder.start import set_up_otherwise
 from fleet.repeat.recorded_run import recorded as read
-from fleet.repeat.resume import start_of
+from fleet.repeat.verify import start_of
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import A_LOG, Policy, ran_from
@@ -119,7 +119,9 @@ def what_if(
     given = _read(path, agent, scenario.tick_ns, progress)
     if not given.navs:
         raise FleetError(f"{path} has no navigation of agent {agent}")
-    other = _OtherAgent(agent, scenario, recorded, given)
+    start = start_of(source)
+    before = None if start is None else reach(start, progress).run
+    other = _OtherAgent(agent, scenario, recorded, given, before)
     for done, (tick, measured) in enumerate(given.navs):
         other.step(tick, measured)
         if done % 500 == 0:
@@ -155,13 +157,14 @@ class _Given:
     beliefs: dict[int, tuple[float, ...]] = field(default_factory=dict)  # by tick: the covariance of its estimate
     commands: dict[int, tuple[float, ...]] = field(default_factory=dict)  # by tick
     deliveries: list[Delivery] = field(default_factory=list)  # in order
-    start: Start | None = None  # of a log that goes on from another
 
 
 class _OtherAgent:
     """The agent that is asked: a fresh one for each life of the recorded one."""
 
-    def __init__(self, agent: int, scenario: Scenario, recorded: Scenario, given: _Given) -> None:
+    def __init__(
+        self, agent: int, scenario: Scenario, recorded: Scenario, given: _Given, before: InProcess | None
+    ) -> None:
         self._agent, self._scenario = agent, scenario
         self._beliefs, self._commands = given.beliefs, given.commands
         self._lives = Lives(recorded.faults.absences)
@@ -169,27 +172,26 @@ class _OtherAgent:
             Clocks.that_differ(s.clocks, s.faults.world, s.tick_ns) for s in (recorded, scenario)
         )
         self._begins = [0, *(end for _, end in self._lives.gaps(agent) if end is not None)]  # of its lives
-        self._core: Agent | PluggedAgent | None = None
+        self._core: AgentCore | None = None
         self._life = -1
         self._ticks: list[int] = []
         self._recorded: list[tuple[float, ...]] = []
         self._found: list[tuple[float, ...]] = []
         self._heard = 0
         self._notes: list[str] = []
-        first, start, deliveries = given.navs[0][0], given.start, given.deliveries
-        memory = None if start is None or first != start.snapshot.tick else start.snapshot.memories.get(agent)
-        self._memory: bytes | None = None  # with which its first life begins
-        if start is not None and memory is not None:
+        first, deliveries = given.navs[0][0], given.deliveries
+        self._first: AgentCore | None = None  # with which its first life begins; None: with a new one
+        if before is not None and (known := before.life(agent)) is not None and first == before.granted:
             # It waits for what was on the way, which is in the log, too, beside what it had heard.
             heard = [delivery for delivery in deliveries if delivery.due_tick >= first]
             # What it has is stamped by the senders' clocks, what is in the log by simulated time.
-            due_later = {(d.due_tick, d.src, d.seq, d.copy): d for d in [*restore(None, memory), *heard]}
+            due_later = {(d.due_tick, d.src, d.seq, d.copy): d for d in [*known.waiting, *heard]}
             deliveries = sorted(due_later.values(), key=astuple)
-            if _law(scenario, agent) != _law(recorded, agent):
+            if set_up_otherwise(scenario, recorded, agent):
                 at = f"t = {first * scenario.tick_ns / 1e9:g} s"
                 self._notes.append(f"the log begins at {at}; the other agent has no memory then")
-            elif agent not in start.anew:
-                self._memory = memory
+            elif not set_up_otherwise(recorded, before.scenario, agent):
+                self._first = known.core
         self._waiting = deque(deliveries)
         if agent in recorded.external:
             self._notes.append(
@@ -206,7 +208,9 @@ class _OtherAgent:
             belief = self._beliefs.get(tick, ())
             known = () if belief and isnan(belief[0]) else belief
             nav = Nav(life, tick, measured[:5], measured[5:10], measured[10:], shown_ns, known)
-            step = self._core.step(nav, due)
+            if tick % self._scenario.round_ticks == 0:
+                self._core.transmit(nav)
+            tau, _ = self._core.decide(nav, due)
         except (AgentError, PluginError) as error:
             raise FleetError(str(error), status=3) from None
         tick_s = self._scenario.tick_ns / 1e9
@@ -214,13 +218,11 @@ class _OtherAgent:
         if tick in self._commands:
             self._ticks.append(tick)
             self._recorded.append(self._commands[tick])
-            self._found.append(step.tau)
+            self._found.append(tau)
             self._heard += len(due)
 
-    def _begin(self, life: int) -> Agent | PluggedAgent:
-        core = make_agent(self._scenario.agent_config(self._agent))
-        if self._core is None and self._memory is not None:
-            restore(core, self._memory)
+    def _begin(self, life: int) -> AgentCore:
+        core, self._first = self._first or make_agent(self._scenario.agent_config(self._agent)), None
         self._life = life
         if self._begins[life]:
             self._due(self._begins[life])  # what fell due before was for the life before, or for none
@@ -245,11 +247,6 @@ class _OtherAgent:
             self._life + 1,
             self._notes,
         )
-
-
-def _law(scenario: Scenario, agent: int) -> object:
-    """The properties that two agents must share so that one can take the other's memory."""
-    return laws(scenario.controls[agent - 1]), scenario.graph.links
 
 
 def _ranged(delivery: Delivery, m: Any, tick_ns: int) -> Delivery:
@@ -286,7 +283,6 @@ def _read(path: Path, agent: int, tick_ns: int, tell: Tell) -> _Given:
                 delivery = Delivery(record.log_ns // tick_ns, sent, link[0], m.seq, m.copy, m.payload)
                 given.deliveries.append(_ranged(delivery, m, tick_ns))
     given.deliveries.sort(key=astuple)
-    given.start = start_of(reader)
     return given
 
 

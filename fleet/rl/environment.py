@@ -17,7 +17,7 @@ from agents.loop import AgentLoop
 from fleet.errors import FleetError
 from fleet.execution.stepped_run import Run, State
 from fleet.result.result import Result, Status
-from fleet.rl.policy_agent import Action, Choices, HeldLife, PolicyAgent, Seat, without_memory
+from fleet.rl.policy_agent import Action, Choices, HeldLife, PolicyAgent, Seat
 from fleet.scenario.loading import changed
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import BeliefKind
@@ -237,8 +237,7 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
             self.run.close()
 
     def _seat(self, scenario: Scenario, i: int) -> Seat:
-        config = scenario.agent_config(i)
-        return Seat(config if self._choices.resident else without_memory(config), self._choices)
+        return Seat(scenario.agent_config(i), self._choices)
 
     def _maker(self, scenario: Scenario, who: str) -> Callable[[int, int], HeldLife]:
         def make(incarnation: int, begin: int) -> HeldLife:
@@ -250,7 +249,6 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
                 incarnation=incarnation,
                 begin=begin,
                 ideal=scenario.ideal,
-                memory_ticks=seat.config.memory_ticks,
             )
             return HeldLife(seat, loop, core)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from agents.agent import Agent
 from agents.codecs import codec
@@ -80,7 +80,7 @@ class PolicyAgent:
         self._numbers: dict[int, tuple[int, HeardMessage]] = {}  # by sender: tick of sending, and the message
         x, y, z = config.tau_max
         self._limits: tuple[Vec3, Vec3] = ((-x, -y, -z), config.tau_max)
-        self._foreseen: tuple[int, dict[str, Any], tuple[bytes, ...], Decision] | None = None
+        self._foreseen: tuple[int, Decision] | None = None
         self._notes: list[tuple[int, str]] = []
 
     def look(self, nav: Nav, due: list[Delivery]) -> None:
@@ -101,11 +101,10 @@ class PolicyAgent:
     def foresee(self, nav: Nav, due: list[Delivery]) -> Action:
         """The answer of the scenario's own law at this tick; the law is called once."""
         assert self.resident is not None
-        before = self.resident.state() if self._remembers(nav.tick) else {}
         sends = nav.tick % self.config.round_ticks == 0
         payloads = self.resident.transmit(nav) if sends else ()
         decision = self.resident.decide(nav, due)
-        self._foreseen = nav.tick, before, payloads, decision
+        self._foreseen = nav.tick, decision
         state = self._own_state(nav)
         return Action(decision.tau, bool(payloads), (*state.position, *state.velocity))
 
@@ -141,27 +140,13 @@ class PolicyAgent:
         if self.resident is None:
             return Decision(tau, ())
         if (foreseen := self._foreseen) is not None and foreseen[0] == nav.tick:
-            return Decision(tau, foreseen[3].telemetry)
+            return Decision(tau, foreseen[1].telemetry)
         return Decision(tau, self.resident.decide(nav, due).telemetry)
-
-    def state(self) -> dict[str, Any]:
-        """The memory of the scenario's own law. The policy's memory is unknown."""
-        assert self.resident is not None  # otherwise the loop has no `memory_ticks`
-        foreseen = self._foreseen
-        return foreseen[1] if foreseen is not None and foreseen[1] else self.resident.state()
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """A run with policies does not go on from another."""
-        raise NotImplementedError
 
     def take_notes(self) -> list[tuple[int, str]]:
         """(tick, text) of what a person should know since the last call."""
         taken, self._notes = self._notes, []
         return [*taken, *(self.resident.take_notes() if self.resident is not None else ())]
-
-    def _remembers(self, tick: int) -> bool:
-        every = self.config.memory_ticks
-        return bool(every) and tick % every == 0 and tick > 0
 
     def _own_state(self, nav: Nav) -> StateMessage:
         x, y, z, theta, psi = nav.eta
@@ -223,15 +208,14 @@ class HeldLife:
         nav, self._held = self._held, None
         return [] if nav is None else self._answer(nav)
 
-    def remember(self, memory: bytes, *, anew: bool = False) -> None:
+    @property
+    def waiting(self) -> tuple[Delivery, ...]:
+        return self._loop.waiting
+
+    def take_over(self, before: AgentLoop, *, anew: bool) -> None:
         """A run with policies does not go on from another."""
         raise NotImplementedError
 
     def _answer(self, nav: Nav) -> list[Answer]:
         self._waiting = [delivery for delivery in self._waiting if delivery.due_tick > nav.tick]
         return self._loop.nav(nav)
-
-
-def without_memory(config: AgentConfig) -> AgentConfig:
-    """The same agent, which is asked for no snapshot."""
-    return replace(config, memory_ticks=0)

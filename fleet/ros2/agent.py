@@ -170,10 +170,3 @@ class RosAgent:
         """(tick, text) of what a person should know since the last call."""
         taken, self._notes = self._notes, []
         return taken
-
-    def state(self) -> dict[str, Any]:
-        """Nothing: what the node remembers is not known."""
-        return {}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        """Nothing can be given back to it."""

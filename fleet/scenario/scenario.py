@@ -18,7 +18,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
 from fleet.scenario.sections.acoustic import inlined_modem
 from fleet.scenario.sections.formation import initial_rolls
-from fleet.scenario.sections.log_rates import log_every, memory_ticks
+from fleet.scenario.sections.log_rates import log_every
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name, shipped_vehicles
@@ -123,11 +123,6 @@ class Scenario:
         return {c.plant.name: c.plant for c in reversed(self.controls) if c.plant is not None}
 
     @cached_property
-    def memory_ticks(self) -> int:
-        """Ticks between two snapshots; 0: none. Imports the laws that are not built in, to see if they can."""
-        return memory_ticks(self.spec, self.other_laws)
-
-    @cached_property
     def log_every(self) -> dict[str, int]:
         """Ticks between two records of each topic group."""
         return log_every(self.spec)
@@ -148,7 +143,6 @@ class Scenario:
             drift=(current.sigma, current.time_constant / 1e9) if any(current.sigma) else None,  # None: it is constant
             faults=self.faults.world,
             absences=self.faults.absences,
-            memory_ticks=self.memory_ticks,
             keep_going=spec.on_death != "abort" and not self.ideal,
             noise=self.noise,
             clocks=dict(self.clocks),
@@ -223,7 +217,6 @@ class Scenario:
             agent=control.agent,
             on_error=spec.on_controller_error,
             budget_s=spec.controller_budget / 1e9,
-            memory_ticks=self.memory_ticks,
             codec=spec.network.payload,
             standby_for=standby,
             standby_after_s=0.0 if spec.graph.standby is None else spec.graph.standby.after / 1e9,
@@ -252,7 +245,6 @@ class Scenario:
             changing=dict(self.changing),
             faults=self.faults.network,
             absences=self.faults.absences,
-            memory_ticks=self.memory_ticks,
             ideal=self.ideal,
             acoustic=self.acoustic,
             clocks=dict(self.clocks),

@@ -243,12 +243,12 @@ class RelayRun:
             while fate is not None and fate.final_tick <= tick:
                 some.append(fate)
                 fate = next(fates, None)
-            self._journal.links(LinkReport(tick, False, False, tuple(some), b""))
+            self._journal.links(LinkReport(tick, False, False, tuple(some)))
             self._frame(tick)
         if end is None:
             return False
         rest = tuple(fates) if fate is None else (fate, *fates)
-        self._journal.links(LinkReport(until, True, False, rest, b""))
+        self._journal.links(LinkReport(until, True, False, rest))
         self._frame(until)
         entered = {(src, dst): (sent, copies) for src, dst, sent, copies in end["entered"]}
         self.closing = Closing(entered=entered, timing={"late": end["late"], "came": end["came"]})
@@ -260,7 +260,7 @@ class RelayRun:
         rows = tuple(
             VehicleFrame(i, place, (0.0,) * 5, (), (), b"", (), (), (), ()) for i, place in self._places.items()
         )
-        self._journal.frame(Frame(tick, False, (), (), rows, b""))
+        self._journal.frame(Frame(tick, False, (), (), rows))
 
     def _place(self, report: RelayReport) -> None:
         moved = {}

@@ -1,23 +1,29 @@
-"""Parts of a run: from its start, or from a snapshot of another part, with draws of their own, until a check is near.
+"""Parts of a run: from its start, or from a moment of another part, with draws of their own, until a check is near.
 
 Draws before the run begins (initial states, clocks, faults of a nemesis) and draws of agents belong to the seed. Draws
-of world and network during the run belong to the salt.
+of world and network during the run belong to the salt. So a moment is a seed and the salts up to some ticks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from math import inf
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from msgspec.structs import replace
 
 from fleet.analysis.preflight import may_draw
 from fleet.analysis.verdicts import judge
-from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import refuse
-from fleet.execution.in_process import in_process
+from fleet.execution.in_process import InProcess, in_process
+from fleet.execution.moments import Prefix, reach
+from fleet.processes.apart import apart, can_copy
+from fleet.recorder.log_file import NoDigest
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.snapshot import Snapshot, Start
+from fleet.recorder.start import Leg, Start
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.log_rates import moment_grid
 from fleet.scenario.sections.timeline import Event
 from fleet.study.errors import StudyError
 from fleet.study.row import PartRow, Row
@@ -30,82 +36,105 @@ from netem.wire.messages import Command, Fate, Frame
 _FAILED = -1e-300  # the margin of a check that failed at its limit: below 0
 # Whose margin is the least over the time, so that a part of a run can go on from what it was before.
 _OF_THE_TIME = ("formation_error", "consensus_error", "min_separation", "max_age")
-# Others are drawn before a run begins, or with a state that a snapshot has.
+# Others are drawn before a run begins, or are the same for each salt.
 _OF_THE_WHOLE_SEED = ("current", "navigation", "traces", "acoustic channel")
 
 
-class Branch(NamedTuple):
-    """A part of a run."""
+Way = tuple[tuple[int, int], ...]  # (salt, tick): the draws of each part up to its end; () is the start of a run
+
+
+class Branches(NamedTuple):
+    """Parts of a run that begin at the same moment."""
 
     check: str  # its margin counts
-    salt: int  # changes all draws from here on; 0: the draws of the run with this seed
-    start: bytes = b""  # the snapshot to start from; empty: the start of the run
+    way: Way  # to the moment
+    salts: tuple[int, ...]  # change all draws from there on; 0: the draws of the run with this seed
     best: float = inf  # the least margin so far
-    level: float | None = None  # it ends as soon as the margin is at or below this; None: at the end of the run
+    level: float | None = None  # they end as soon as the margin is at or below this; None: at the end of the run
 
 
-class _ReachedError(Exception):
-    """The margin is at the level."""
+class _Signals:
+    """A sink of the journal: knows the margin of a signal before the frame of the newest moment.
 
-
-class _Path:
-    """A sink of the journal: keeps a snapshot whenever the margin is smaller than ever before.
-
-    All draws after a snapshot are made anew. So the margin must depend only on the snapshot and on the time before it.
-    The snapshot has the true states at its tick. It does not have the agents' signals at its tick, since these depend
-    on measurements at that tick. So the margin of a signal counts only the samples before.
+    All draws after a moment are made anew. So its margin must depend only on the moment and on the time before it. At
+    a moment the true states of its tick are known, and the agents' signals of its tick are not, since these depend on
+    measurements at that tick. So the margin of a signal counts only the samples before.
     """
 
-    def __init__(
-        self, branch: Branch, margin: Callable[[], float], certain: Callable[[Snapshot], float] | None
-    ) -> None:
-        self.best = branch.best
-        self.places: list[tuple[float, bytes]] = []  # margin, snapshot
-        self._level, self._margin, self._certain = branch.level, margin, certain
-        self._of_signal = branch.check not in _OF_THE_TIME
-        self._before = inf  # the margin before the frame of a snapshot
+    def __init__(self, margin: Callable[[], float], grid: int) -> None:
+        self._margin, self._grid, self.before = margin, grid, inf
 
     def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        if self._of_signal and frame.memory:
-            self._before = self._margin()
+        if frame.tick % self._grid == 0:
+            self.before = self._margin()
 
     def packet(self, fate: Fate) -> None: ...
     def event(self, event: Event) -> None: ...
 
-    def snapshot(self, snapshot: Snapshot) -> None:
-        margin = self._before if self._of_signal else self._margin()
-        if self._certain is not None:
-            margin = min(margin, self._certain(snapshot))
-        if margin >= self.best:
-            return
-        self.best = margin
-        self.places.append((margin, snapshot.to_bytes()))
-        if self._level is not None and margin <= self._level:
-            raise _ReachedError
+
+def run_branches(scenario: Scenario, asked: Branches, progress: Callable[[float], None]) -> list[Row]:
+    """The rows of some parts of a run. The way to their moment is gone once if this process can be copied there, and it
+    counts once: the first of them has its ticks.
+    """
+    moment = _moment(scenario, asked)
+    way = asked.way[-1][1] if asked.way else 0
+    rows = list[Row]()
+    try:
+        for number, salt in enumerate(asked.salts):
+            last = number == len(asked.salts) - 1
+            if not last and moment is not None and moment.run.can_be_copied and can_copy():
+                rows.append(apart(partial(_future, scenario, asked, salt, moment, progress)))
+            else:
+                rows.append(_future(scenario, asked, salt, moment, progress))
+                moment = None if last else _moment(scenario, asked)
+    finally:
+        if moment is not None:
+            moment.run.release()
+    assert rows[0].part is not None
+    rows[0].part = replace(rows[0].part, ticks=way + rows[0].part.ticks)
+    return rows
 
 
-def run_branch(scenario: Scenario, branch: Branch, progress: Callable[[float], None]) -> Row:
-    start = None
-    if branch.start:
-        start = Start(Snapshot.from_bytes(branch.start), "")
-    begin = 0 if start is None else start.snapshot.tick
+def _moment(scenario: Scenario, asked: Branches) -> Prefix | None:
+    return reach(Start(tuple(Leg(scenario, tick, salt) for salt, tick in asked.way))) if asked.way else None
+
+
+def _future(
+    scenario: Scenario, asked: Branches, salt: int, moment: Prefix | None, progress: Callable[[float], None]
+) -> Row:
+    """Go on from a moment, and keep each round at which the margin is smaller than ever before."""
 
     def margin() -> float:
-        verdict = next((one for one in judge(scenario, journal, 0) if one.check == branch.check), None)
+        verdict = next((one for one in judge(scenario, run.journal, 0) if one.check == asked.check), None)
         if verdict is None or verdict.margin is None:  # one that is not judged has none, either
             return inf
         return verdict.margin.value if verdict.passed else min(verdict.margin.value, _FAILED)
 
-    path = _Path(branch, margin, certain_margin(scenario) if branch.check == "max_age" else None)
-    runner = in_process(scenario, path, start=start, salt=branch.salt)
-    journal = runner.journal
+    grid = moment_grid(scenario.spec)
+    signals = _Signals(margin, grid) if asked.check not in _OF_THE_TIME else None
+    certain = certain_margin(scenario) if asked.check == "max_age" else None
+    run = in_process(scenario, signals or NoDigest(), None if moment is None else moment.run, salt=salt)
+    run.begin()
+    begin, best, places = run.granted, asked.best, list[tuple[float, int]]()
     try:
-        runner.serve(GrantPolicy.of(scenario, begin=begin), lambda: progress(0.0))
-        journal.finish()
-        best = min(path.best, margin())
-    except _ReachedError:
-        best = path.best
-    return Row(seed=scenario.seed, status="pass", part=PartRow(best, path.places, journal.framed - begin))
+        for tick in range(begin - begin % grid + grid, scenario.ticks, grid):
+            run.advance(tick)
+            here = inf if certain is None else certain(tick, run)
+            run.advance(tick + 1)  # with the frame of the moment
+            here = min(here, margin() if signals is None else signals.before)
+            progress(0.0)
+            if here < best:
+                best = here
+                places.append((here, tick))
+                if asked.level is not None and here <= asked.level:
+                    return Row(seed=scenario.seed, status="pass", part=PartRow(best, places, tick - begin))
+        run.advance(scenario.ticks)
+        run.end()
+        run.journal.finish()
+        best = min(best, margin())
+        return Row(seed=scenario.seed, status="pass", part=PartRow(best, places, scenario.ticks - begin))
+    finally:
+        run.release()
 
 
 def refuse_branches(scenario: Scenario, check: str) -> None:
@@ -117,12 +146,10 @@ def refuse_branches(scenario: Scenario, check: str) -> None:
         text = f"the check {check} has no margin that is the least over the time, or does not exist"
         raise StudyError(f"{scenario.name}: {text}. You can use: {has}")
     if others := [part for part in may_draw(scenario) if part in _OF_THE_WHOLE_SEED]:
-        text = f"{', '.join(others)} cannot be drawn again from a snapshot on"
+        text = f"{', '.join(others)} cannot be drawn again from a moment on"
         raise StudyError(f"{scenario.name}: {text}; count with fleet sweep instead")
     if scenario.spec.triggers:
-        raise StudyError(f"{scenario.name}: behind a snapshot its triggers would begin other faults; use fleet sweep")
-    if not scenario.memory_ticks:
-        raise StudyError(f"{scenario.name} has no snapshots: log.snapshot is 0 s, or a law cannot save its state")
+        raise StudyError(f"{scenario.name}: with other draws its triggers would begin other faults; use fleet sweep")
 
 
 def checks_over_time(scenario: Scenario) -> Iterator[str]:
@@ -140,19 +167,19 @@ def checks_over_time(scenario: Scenario) -> Iterator[str]:
             yield name
 
 
-# The ages of information that a run certainly reaches from a snapshot on, whatever is drawn after it.
+# The ages of information that a run certainly reaches from a moment on, whatever is drawn after it.
 #
-# A snapshot of tick S has the fates of all packets sent before S: they are in it, or lost. A packet sent at S or later
-# arrives L ticks after S at the earliest, so the ages of the ticks S to S + L - 1 are known.
+# At tick S, before its round, the fates of all packets sent before S are known: they are under way, or lost. A packet
+# sent at S or later arrives L ticks after S at the earliest, so the ages of the ticks S to S + L - 1 are known.
 #
 # A margin that leaves these ages out is late. When it gets smaller, the fate of the next packet is drawn already.
 # All runs that continue from there then share its fate, and new draws do not help.
 
 
-def certain_margin(scenario: Scenario) -> Callable[[Snapshot], float]:
-    """Make a function that computes the margin of `max_age` [s] from a snapshot.
+def certain_margin(scenario: Scenario) -> Callable[[int, InProcess], float]:
+    """Make a function that computes the margin of `max_age` [s] of a run before a round tick.
 
-    It covers the ticks for which the snapshot already decides every age. If the margin is below 0, the check fails.
+    It covers the ticks for which every age is decided already. If the margin is below 0, the check fails.
     """
     check = scenario.spec.checks.max_age
     assert check is not None
@@ -160,13 +187,14 @@ def certain_margin(scenario: Scenario) -> Callable[[Snapshot], float]:
     limit_s, tick_s = check.below / 1e9, tick_ns / 1e9
     ahead = {link: _known_ticks(scenario, link) for link in select(parse_selector(check.links), scenario.graph.links)}
 
-    def margin(snapshot: Snapshot) -> float:
-        on_the_way = _on_the_way(snapshot.network)
-        heard = {(src, dst): sent for src, dst, sent in snapshot.heard}
+    def margin(tick: int, run: InProcess) -> float:
+        on_the_way: dict[Link, list[PendingPacket]] = {}
+        for packet in run.rounds.netem.under_way():
+            on_the_way.setdefault((packet.src, packet.dst), []).append(packet)
         oldest = -1
         for link, ticks in ahead.items():
-            some = range(max(after, snapshot.tick), min(snapshot.tick + ticks, scenario.ticks))
-            oldest = max(oldest, _oldest(heard[link], on_the_way.get(link, ()), some))
+            some = range(max(after, tick), min(tick + ticks, scenario.ticks))
+            oldest = max(oldest, _oldest(run.journal.ages.links[link].heard, on_the_way.get(link, ()), some))
         margin_s = limit_s - oldest * tick_s  # to the last bit that of the verdict: levels are compared with it
         return margin_s if oldest * tick_ns < check.below else min(margin_s, -1e-9)
 
@@ -177,14 +205,6 @@ def _oldest(heard: int, packets: Iterable[PendingPacket], ticks: range) -> int:
     """The largest age in some ticks; -1: there are none."""
     there = [(packet.due_tick, packet.sent_tick) for packet in packets if not packet.corrupted]
     return max((t - max([heard, *(sent for due, sent in there if due <= t)]) for t in ticks), default=-1)
-
-
-def _on_the_way(network: dict[str, Any]) -> dict[Link, list[PendingPacket]]:
-    found: dict[Link, list[PendingPacket]] = {}
-    for values in (*network["announced"], *network["pending"]):
-        packet = PendingPacket(*values)
-        found.setdefault((packet.src, packet.dst), []).append(packet)
-    return found
 
 
 def _known_ticks(scenario: Scenario, link: Link) -> int:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from functools import partial
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
@@ -18,8 +19,9 @@ from typing import NamedTuple
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
-from fleet.execution.stepped_run import judged
+from fleet.execution.stepped_run import Run, judged
 from fleet.execution.triggered import fired
+from fleet.processes.apart import apart, can_copy
 from fleet.recorder.log_file import LogFile, NoDigest
 from fleet.result.file import write_result
 from fleet.result.result import Result, Status
@@ -28,7 +30,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
 from fleet.study.bare_run import bare_verdicts, fits
-from fleet.study.branches import Branch, run_branch
+from fleet.study.branches import Branches, run_branches
 from fleet.study.errors import StudyError
 from fleet.study.measures import MEASURES, Samples
 from fleet.study.modules import NO_MODULES, Modules, folder_of
@@ -49,7 +51,8 @@ class Task(NamedTuple):
     modules: Modules = NO_MODULES  # that may run besides installed ones
     signals: tuple[str, ...] = ()  # measures of signals, by name
     log: str = ""  # the run directory that is to be made; empty: none
-    branch: Branch | None = None  # a part of a run, in place of all of it
+    branches: Branches | None = None  # parts of a run, in place of all of it
+    healed: tuple[tuple[int, str], ...] = ()  # in its place runs that are healed at a tick, with their scenarios
     bare: bool = False  # without a digest, and without an emulator as far as that is possible
 
 
@@ -106,8 +109,10 @@ def _made(task: Task) -> Row:
 
     try:
         scenario = scenario_of(task)
-        if task.branch is not None:
-            return run_branch(scenario, task.branch, check)
+        if task.branches is not None:
+            return _of_futures(task, run_branches(scenario, task.branches, check))
+        if task.healed:
+            return _of_futures(task, healed_runs(task, scenario))
         in_time = check if isfinite(task.timeout_s) else None
         if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
             return _by_verdicts(task, verdicts)
@@ -121,6 +126,48 @@ def _made(task: Task) -> Row:
         return _measured(result, samples)
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         return _failed(task, error)
+
+
+def healed_runs(task: Task, scenario: Scenario) -> list[Row]:
+    """The rows of runs in which all faults end at a tick, and none begins later; ticks in ascending order.
+
+    Up to its tick each is the same run. So that is made once, if this process can be copied on the way.
+    """
+    run: Run | None = None
+    rows = []
+    try:
+        for tick, text in task.healed:
+            run = Run.prepared(scenario, NoDigest()) if run is None else run
+            if tick > run.tick:
+                run.go(tick - run.tick)
+            make = partial(_healed, run, task._replace(text=text))
+            if tick < task.healed[-1][0] and run.can_be_copied and can_copy():
+                rows.append(apart(make))
+            else:
+                rows.append(make())
+                run = None
+    finally:
+        if run is not None:
+            run.close()
+    return rows
+
+
+def _healed(run: Run, task: Task) -> Row:
+    before, scenario = run.scenario, scenario_of(task)
+    with run:
+        run.heal_as(scenario)
+        result = run.to_end()
+    gone = _own_checks(before) - _own_checks(scenario)  # those about faults that never began
+    checks, _ = _judged(verdict for verdict in result.checks if verdict.check not in gone)
+    return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason), checks=checks)
+
+
+def _own_checks(scenario: Scenario) -> set[str]:
+    return {check.name for check in scenario.spec.checks.own()}
+
+
+def _of_futures(task: Task, futures: list[Row]) -> Row:
+    return Row(seed=task.seed, status=Status.PASS, futures=futures)
 
 
 def _by_verdicts(task: Task, verdicts: Sequence[Verdict]) -> Row:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, copysign, inf, sqrt
 from pathlib import Path
@@ -11,10 +11,10 @@ from statistics import NormalDist, fmean, pstdev, stdev
 from typing import Annotated, NamedTuple
 
 import msgspec
-from msgspec import Meta, Struct, structs
+from msgspec import Meta, Struct
 
 from fleet.scenario.scenario import Scenario
-from fleet.study.branches import Branch, refuse_branches
+from fleet.study.branches import Branches, Way, refuse_branches
 from fleet.study.engine import Engine
 from fleet.study.errors import StudyError
 from fleet.study.modules import NO_MODULES, Modules
@@ -25,7 +25,8 @@ from netem.draws import bits
 from netem.limits import RARE
 from netem.private_file import DamagedFile, read_json, write_whole
 
-_MARGINS = 2  # changes when other margins count at a snapshot: such repeats do not mix
+_MARGINS = 3  # changes when other margins count at a moment: such repeats do not mix
+_TOGETHER = 8  # parts of runs that a worker makes from one moment
 _NOTHING = (
     "nothing that world or network draw while a run goes on changes the margin of {check}, so splitting cannot help: "
     "what fails is decided by the initial state and other things that are drawn before; count with fleet sweep"
@@ -109,23 +110,35 @@ class RareEvent:
 
         def make(asks: Sequence[Ask]) -> list[PartRow]:
             nonlocal count
-            rows: dict[str, Row] = {}
-            tasks = [self._task(ask, seed, place) for place, ask in enumerate(asks)]
+            found: dict[int, PartRow] = {}  # by place
+            tasks = {task.key: (task, places) for task, places in self._tasks(asks, seed)}
 
             def take(more: list[Row]) -> None:
-                rows.update((row.key, row) for row in more)
-                tell(doing, count + len(rows))
+                for row in more:
+                    if not row.futures:
+                        raise StudyError(f"a run does not come to its end: {row.reason}")
+                    parts = (future.part for future in row.futures)
+                    found.update((place, part) for place, part in zip(tasks[row.key][1], parts, strict=True) if part)
+                tell(doing, count + len(found))
 
-            engine.make(iter(tasks), take, lambda: tell(doing, count + len(rows)))
-            count += len(rows)
-            return [_part(rows[task.key]) for task in tasks]
+            engine.make((task for task, _ in tasks.values()), take, lambda: tell(doing, count + len(found)))
+            count += len(found)
+            return [found[place] for place in range(len(asks))]
 
         return make
 
-    def _task(self, ask: Ask, seed: int, place: int) -> Task:
-        branch = Branch(self._check, ask.salt, ask.start.state or b"", ask.start.best, ask.level)
-        key = run_key(f"{self._text}\nseed {seed} salt {ask.salt} place {place}")
-        return Task(key, 0, seed, self._scenario.name, self._text, inf, self._modules, branch=branch)
+    def _tasks(self, asks: Sequence[Ask], seed: int) -> Iterator[tuple[Task, list[int]]]:
+        """Tasks, each with the places of what it makes: parts that begin at one moment share the way to it."""
+        together: dict[tuple[Entrance, float | None], list[int]] = {}
+        for place, ask in enumerate(asks):
+            together.setdefault((ask.start, ask.level), []).append(place)
+        for (start, level), places in together.items():
+            for first in range(0, len(places), _TOGETHER):
+                some = places[first : first + _TOGETHER]
+                salts = tuple(asks[place].salt for place in some)
+                key = run_key(f"{self._text}\nseed {seed} salts {salts} place {some[0]}")
+                branches = Branches(self._check, start.way or (), salts, start.best, level)
+                yield Task(key, 0, seed, self._scenario.name, self._text, inf, self._modules, branches=branches), some
 
     def _read(self, file: Path) -> RareFile:
         splitting = self._splitting
@@ -155,12 +168,6 @@ class RareEvent:
         )  # fmt: skip
 
 
-def _part(row: Row) -> PartRow:
-    if row.part is None:
-        raise StudyError(f"a run does not come to its end: {row.reason}")
-    return row.part
-
-
 def _write(file: Path, known: RareFile) -> None:
     try:
         write_whole(file, msgspec.json.format(msgspec.json.encode(known), indent=1) + b"\n", 0o666)
@@ -185,17 +192,25 @@ def _write(file: Path, known: RareFile) -> None:
 
 PURPOSE = "split"  # of the draws
 MOST_LEVELS = 60
-NOWHERE = b""
+NOWHERE: Way = ()
 
 
 class Entrance(NamedTuple):
     """Where a path has reached a level."""
 
     best: float  # its score there
-    state: bytes | None  # to continue from; None: the path was over by then
+    way: Way | None  # to continue from; None: the path was over by then
 
 
 START = Entrance(inf, NOWHERE)
+
+
+class SplitPath(NamedTuple):
+    """A path that was made."""
+
+    best: float
+    entrances: list[Entrance]  # where its margin was smaller than ever before, in order
+    ticks: int
 
 
 class Ask(NamedTuple):
@@ -250,20 +265,25 @@ class Splitting:
 
     def _paths(
         self, make: Make, entrances: Sequence[Entrance], level: float | None, seed: int, stage: int
-    ) -> list[PartRow]:
+    ) -> list[SplitPath]:
         asks = []
         for n in range(self.effort):
             start = entrances[bits(seed, PURPOSE, stage, n, 0) % len(entrances)]
             asks.append(Ask(start, 1 + bits(seed, PURPOSE, stage, n, 1) % (2**62), level))
         over = [
-            ask.start.state is None or (level is not None and reached(ask.start.best, level)) for ask in asks
+            ask.start.way is None or (level is not None and reached(ask.start.best, level)) for ask in asks
         ]  # nothing is left to find out
         made = iter(make([ask for ask, known in zip(asks, over, strict=True) if not known]))
         found = []
         for ask, known in zip(asks, over, strict=True):
-            best, state = ask.start
-            path = PartRow(best, [] if state is None else [(best, state)], 0) if known else next(made)
-            found.append(path if known else structs.replace(path, best=min(path.best, best)))
+            start = ask.start
+            if known:
+                found.append(SplitPath(start.best, [] if start.way is None else [start], 0))
+                continue
+            part = next(made)
+            way = start.way or NOWHERE
+            entrances = [Entrance(margin, (*way, (ask.salt, tick))) for margin, tick in part.places]
+            found.append(SplitPath(min(part.best, start.best), entrances, part.ticks))
         return found
 
 
@@ -272,9 +292,9 @@ def reached(score: float, level: float) -> bool:
     return score < 0.0 if level == 0.0 else score <= level
 
 
-def _entrance(path: PartRow, level: float) -> Entrance:
-    first = next(((best, state) for best, state in path.places if reached(best, level)), None)
-    return Entrance(path.best, None) if first is None else Entrance(*first)
+def _entrance(path: SplitPath, level: float) -> Entrance:
+    first = next((entrance for entrance in path.entrances if reached(entrance.best, level)), None)
+    return first or Entrance(path.best, None)
 
 
 def interval(estimates: Sequence[float], confidence: float = 0.95) -> tuple[float, float, float]:

@@ -37,10 +37,10 @@ class CheckRow(Struct, frozen=True):
 
 
 class PartRow(Struct, frozen=True):
-    """What a part of a run came to: the least margin, (margin, snapshot) on the way to it, and the ticks it took."""
+    """What a part of a run came to: the least margin, (margin, tick) on the way to it, and the ticks it took."""
 
     best: float
-    places: list[tuple[float, bytes]]
+    places: list[tuple[float, int]]
     ticks: int
 
 
@@ -57,6 +57,7 @@ class Row(Struct, kw_only=True):
     version: str = ""  # of fleet
     cores: str = ""
     part: PartRow | None = None
+    futures: list[Row] = []  # of a task that asked for several futures of a run
 
     @property
     def has_result(self) -> bool:

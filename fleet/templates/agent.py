@@ -61,10 +61,3 @@ class TheLaw:
         )
         distance = hypot(*(p - x for p, x in zip(place, nav.eta[:3], strict=True)))
         return tau, {"distance": distance, "heard": len(self._heard)}
-
-    # Everything that the next sample depends on, as plain values. With both, a run can be resumed from its log.
-    def state(self) -> dict[str, Any]:
-        return {"heard": [[j, *position] for j, position in self._heard.items()]}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        self._heard = {j: tuple(position) for j, *position in values["heard"]}

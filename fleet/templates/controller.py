@@ -48,11 +48,3 @@ class TheLaw:
         pitch = 15.0 * pitch_error - 10.0 * q - (m3 - m1) * u * w
         yaw = 10.0 * yaw_error - 8.0 * r - (m1 - m2) * u * v
         return (surge, pitch, yaw), {"distance": hypot(*error), "command": (north, east, down)}
-
-    # Everything that the next sample depends on, as plain values. With both, a run can be resumed from its log;
-    # leave both out and the log says that it cannot.
-    def state(self) -> dict[str, Any]:
-        return {"samples": self._samples}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        self._samples = values["samples"]

@@ -26,11 +26,3 @@ class TheLaw:
         x, y, z = (v - self._gain * e for v, e in zip(sample.desired.velocity, sample.e, strict=True))
         shrink = min(1.0, self._speed_max / max(hypot(x, y, z), 1e-9))
         return (shrink * x, shrink * y, shrink * z), {"shrink": shrink}
-
-    # This law has no memory. One that has gives it as plain values; without both, the log says that the run cannot
-    # be resumed.
-    def state(self) -> dict[str, Any]:
-        return {}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        pass

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, PayloadError, Signal, Telemetry, Vec3, pack, unpack
 
@@ -47,11 +46,3 @@ class TheLaw:
         there = {vehicle for vehicle, tick in self._seen.items() if nav.tick - tick <= self._forget_ticks}
         there.add(self._config.id)
         return tau, {"there": len(there), "first": min(there)}
-
-    # Everything that the next sample depends on, as plain values. With both, a run can be resumed from its log.
-    def state(self) -> dict[str, Any]:
-        return {"formation": self._formation.state(), "seen": self._seen}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        self._formation.restore(values["formation"])
-        self._seen = values["seen"]

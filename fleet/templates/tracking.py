@@ -38,11 +38,3 @@ class TheLaw:
             yaw * yaw_error - 8.0 * r - (m1 - m2) * u * v,
         )
         return tau, {"speed_error": speed_error, "pitch_error": pitch_error, "yaw_error": yaw_error}
-
-    # This law has no memory. One that has gives it as plain values; without both, the log says that the run cannot
-    # be resumed.
-    def state(self) -> dict[str, Any]:
-        return {}
-
-    def restore(self, values: dict[str, Any]) -> None:
-        pass

@@ -31,7 +31,7 @@ def encode(message: Message) -> bytes:
         return _ENCODER.encode(("rx", message.incarnation, message.until, message.more, deliveries))
     if type(message) is LinkReport and message.fates:
         fates = [_FATE(fate) if fate.measured is None else fate for fate in message.fates]
-        return _ENCODER.encode(("links", message.until, message.closing, message.more, fates, message.memory))
+        return _ENCODER.encode(("links", message.until, message.closing, message.more, fates))
     data = _ENCODER.encode(message)
     if type(message) is Nav and not message.belief:
         # Agents that were written before there was roll, a clock, or belief know it without.

@@ -191,7 +191,6 @@ class Frame(WireRecord, frozen=True):
     lives: Annotated[tuple[Life, ...], about("since the frame before; with the first part")]
     tumbles: Annotated[tuple[Tumble, ...], about("likewise")]
     vehicles: Annotated[tuple[VehicleFrame, ...], about("ascending by id")]
-    memory: Annotated[bytes, about("of the world and all agents before this tick, as MessagePack; mostly empty")]
 
 
 class TimedFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -278,16 +277,6 @@ class Command(WireRecord, frozen=True, tag="cmd"):
     ]
 
 
-class Memory(WireRecord, frozen=True, tag="memory"):
-    """Everything that an agent's next samples depend on; put before the Command of a tick with a snapshot."""
-
-    route: ClassVar[Route] = Route("cmd/{i}", "agent i", "world")
-
-    incarnation: Annotated[Uint, about("life of the sending agent")]
-    tick: Annotated[Uint, about("of the Command that follows", "tick")]
-    state: Annotated[bytes, about("in a format of the agent's own, as MessagePack")]
-
-
 class Transmission(WireRecord, frozen=True, tag="tx"):
     """The agent's payloads at a round tick; an empty list is the null message and is required."""
 
@@ -358,7 +347,6 @@ class LinkReport(WireRecord, frozen=True, tag="links"):
     closing: Annotated[bool, about("true for the last report of a run")]
     more: Annotated[bool, about("more fates of the same report follow")]
     fates: Annotated[tuple[Fate, ...], about("ordered by (final, src, dst, seq, copy)")]
-    memory: Annotated[bytes, about("of the network before this round, as MessagePack; mostly empty")]
 
 
 class Grant(WireRecord, frozen=True, tag="grant"):
@@ -416,7 +404,6 @@ Message = (
     | Nav
     | End
     | Command
-    | Memory
     | Transmission
     | Receipt
     | Inbox

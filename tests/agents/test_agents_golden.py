@@ -37,7 +37,7 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_it_decides_as_it_did(name: str, tmp_path: Path) -> None:
-    scenario = load_scenario(name, ["checks={tumbled: waived}", "log.snapshot=0 s", *CASES[name]])
+    scenario = load_scenario(name, ["checks={tumbled: waived}", *CASES[name]])
     log = open_log(execute(scenario, Options(tmp_path, in_process=True, quiet=True)).directory)
     ours = {}
     for topic in (topic for topic in log if topic.startswith("uuv/") and len(log[topic])):

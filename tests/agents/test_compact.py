@@ -129,7 +129,5 @@ def test_a_state_beyond_the_range_is_noted_once_and_not_sent() -> None:
     assert tick == 0
     assert "x is 7000, beyond 6553.55" in text
     assert len(one.transmit(structs.replace(far, tick=20, eta=(0.0,) * 5))) == 1
-    again = compact_agent(1)
-    again.restore(one.state())
-    assert again.transmit(structs.replace(far, tick=30)) == ()
-    assert again.take_notes() == []
+    assert one.transmit(structs.replace(far, tick=30)) == ()
+    assert one.take_notes() == []

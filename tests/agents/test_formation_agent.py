@@ -78,14 +78,6 @@ def test_a_course_is_gone_alone(config: Any, kind: Callable[[Any], Any]) -> None
     assert told["e_used"] != (-10.0, 4.0, -2.0)
 
 
-def test_its_memory_goes_on(config: Any) -> None:
-    first, second = FormationAgent(config), FormationAgent(config)
-    for tick in range(5):
-        first.decide(nav(tick, 0.1 * tick), [])
-    second.restore(first.state())
-    assert second.decide(nav(5, 0.5), []) == first.decide(nav(5, 0.5), [])
-
-
 def test_it_steers_as_the_scenario_says(example: str) -> None:
     """Laws and their parameters hold beside a whole agent as without it."""
     laws = ["controller=bc", "profile=hardened", "guidance={K0: 1 2 3 1/s}", "tracking={k_u: 3 1/s}"]
@@ -93,4 +85,4 @@ def test_it_steers_as_the_scenario_says(example: str) -> None:
         load_scenario("paper", [*SHORT, *laws, *more]).agent_config(1) for more in ([], [f"agent={example}"])
     )
     assert (beside.guidance_law.name, beside.tracking.k_u, beside.guidance.K0) == ("fixed", 3.0, (1.0, 2.0, 3.0))
-    assert beside == replace(plain, agent=beside.agent, memory_ticks=0)  # the example has no state()
+    assert beside == replace(plain, agent=beside.agent)

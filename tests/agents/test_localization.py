@@ -116,22 +116,6 @@ def test_a_late_range_corrects_the_place_where_the_vehicle_was() -> None:
     assert late.refused == 1  # an outlier
 
 
-@pytest.mark.parametrize("nis", [False, True])
-def test_a_restored_localizer_goes_on_the_same_way(nis: bool) -> None:
-    chosen = replace(config(), localization=LocalizationParams("consistent", 10.83, nis=nis))
-    one, other = Localizer(chosen), Localizer(chosen)
-    for tick in range(200):
-        heard = [said(1, tick - 5, 30.0, 40.0, 0.1, 50.0 + tick % 3)] if tick % 20 == 10 else []
-        asked = nav(tick, tick * TICK_S, 0.0, 25.0 + 0.01 * tick)
-        first = one.absorb(asked, heard)
-        fresh = Localizer(chosen)
-        if tick:
-            fresh.restore(other.state())
-        other = fresh
-        assert other.absorb(asked, heard) == first and other.telemetry() == one.telemetry()
-    assert one.used > 1 and (one.telemetry()[-1] > 0.0) is nis
-
-
 def test_one_range_counts_once() -> None:
     localizer = Localizer(config("aid"))
     localizer.absorb(nav(0, 0.0, 0.0), [said(1, 0, 100.0, 0.0, 0.01, 103.0, at=0)])
@@ -240,10 +224,6 @@ def test_a_vehicle_that_small_fixes_keep_as_sure_as_it_is_stays_an_aid(fixes: bo
         t = k * round_s
         variance = 0.2 * (1.001 if k % 10 else 1.0) if fixes else 1.0 + (0.035 * t) ** 2
         localizer.located(nav(round(t / TICK_S), t, 0.0, variance))
-        if k % 50 == 0:
-            other = Localizer(config("aid"))
-            other.restore(localizer.state())
-            localizer = other
         if t > 100.0:
             assert localizer.message(state).fixed == fixes, t
 

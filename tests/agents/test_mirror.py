@@ -88,6 +88,3 @@ def test_it_is_as_far_from_every_point_of_the_line(bearing: float, ahead: float,
         assert lengths[0] == pytest.approx(lengths[1], abs=1e-6)
     before, after = (np.array([[nn, ne], [ne, ee]]) for nn, ne, ee in (own.covariance, mirror.other.covariance))
     assert np.linalg.eigvalsh(after) == pytest.approx(np.linalg.eigvalsh(before), abs=1e-6)
-    other = MirrorImage()
-    other.restore(mirror.state())
-    assert other.state() == mirror.state()

@@ -12,12 +12,11 @@ from small_scenario import small
 from agents import compact
 from agents.agent import Agent
 from agents.formation_agent import FormationAgent
-from agents.loop import AgentLoop, restore
 from agents.neighbours import AHEAD_S
 from agents.own_time import OwnNav, by_own_clock, by_simulated_time, received_by_own_clock
 from agents.payload import StateMessage, encode
 from fleet.scenario.scenario import Scenario
-from netem.wire.messages import Delivery, Inbox, Memory, Nav
+from netem.wire.messages import Delivery, Nav
 
 ETA, NU = (1.0, 2.0, 3.0, 0.1, 0.2), (0.5, 0.0, 0.0, 0.0, 0.0)
 
@@ -37,7 +36,6 @@ def test_a_right_clock_changes_nothing() -> None:
         for tick in range(0, 60, 5):
             heard = [Delivery(tick, max(0, tick - 5), 1, tick // 5, 0, state(max(0, tick - 5)))]
             assert plain.step(nav(tick), heard) == told.step(nav(tick, 0.0), heard)
-        assert plain.state() == told.state()
 
 
 @pytest.mark.parametrize(("ahead_s", "refused"), [(0.0, 0), (AHEAD_S, 0), (AHEAD_S + 0.1, 1)])
@@ -85,25 +83,12 @@ def test_a_whole_agent_gets_its_own_ticks_and_the_formation_keeps_its_samples() 
 
 def test_a_range_comes_with_the_state_it_was_measured_with_and_stays_with_it() -> None:
     """It is part of the memory, and a newer state without a range has none."""
-    agent, other = (Agent(small().agent_config(2)) for _ in range(2))
+    agent = Agent(small().agent_config(2))
     ranged = Delivery(10, 9, 1, 0, 0, state(9), 12.5, 0.5, 8)
     agent.decide(nav(10), [ranged])
-    other.restore(agent.state())
-    for one in (agent, other):
-        (heard,) = one._neighbours.heard(11)
-        assert (heard.range_m, heard.range_sd_m) == (12.5, 0.5)
+    (heard,) = agent._neighbours.heard(11)
+    assert (heard.range_m, heard.range_sd_m) == (12.5, 0.5)
     agent.decide(nav(20), [Delivery(20, 19, 1, 1, 0, state(19))])
     assert agent._neighbours.heard(21)[0].range_m is None
-    loop = AgentLoop(other, 10)
-    loop.inbox(Inbox(0, 10, False, (ranged,)))
-    assert restore(None, memory(loop)) == [ranged]
     shown = by_own_clock(nav(10, 50.0), 10_000_000)
     assert received_by_own_clock([ranged], shown)[0].range_tick == 13
-
-
-def memory(loop: AgentLoop) -> bytes:
-    """What an agent that waits for its first nav would send of what it remembers."""
-    loop.memory_ticks = 10
-    (answer,) = loop._memory(10)
-    assert isinstance(answer, Memory)
-    return answer.state

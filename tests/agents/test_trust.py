@@ -154,7 +154,7 @@ def test_reading_runs_nothing(where: str, victim: tuple[str, Path, str], monkeyp
         monkeypatch.syspath_prepend(str(mark.parent / "site"))
         write_laws(mark.parent / "site", name)
     for arguments in READING:
-        found = invoke(*(log if argument == "LOG" else argument for argument in arguments))
+        found = invoke(*(argument.replace("LOG", log) for argument in arguments))
         assert found.exit_code == 0, found.output
         assert not list(mark.parent.rglob("*.mark")), arguments
         assert name not in sys.modules, arguments
@@ -194,7 +194,7 @@ def test_replay_knows_no_scenario() -> None:
 
 
 def test_nothing_is_unpickled() -> None:
-    """Snapshots and start states are MessagePack, results and join files JSON, scenarios YAML events: plain values."""
+    """Wire messages are MessagePack, results and join files JSON, scenarios YAML events: plain values."""
     unsafe = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
     found = set()
     words = re.compile(rf"\b({'|'.join(unsafe)}|(eval|exec)\s*\()")  # only their modules take time
@@ -207,13 +207,14 @@ def test_nothing_is_unpickled() -> None:
             found |= {(str(file.relative_to(ROOT)), name) for name in unsafe.intersection(names)}
     assert found == {
         # Its pipes join this process with its own children, and have no name that others could open.
-        ("fleet/processes/workers.py", "pickle")
+        ("fleet/processes/workers.py", "pickle"),
+        ("fleet/processes/apart.py", "pickle"),
     }
 
 
 # --- running what a log names ----------------------------------------------
 
-RUNNING = (["verify", "LOG"], ["whatif", "LOG", "--agent", "1"], ["run", "--from", "LOG", "-q", "--out", "again"])
+RUNNING = (["verify", "LOG"], ["whatif", "LOG", "--agent", "1"], ["run", "--from", "LOG@500ms", "-q", "--out", "again"])
 
 
 def test_why_runs_no_module_of_mine_unasked(victim: tuple[str, Path, str]) -> None:
@@ -226,7 +227,7 @@ def test_why_runs_no_module_of_mine_unasked(victim: tuple[str, Path, str]) -> No
 @pytest.mark.parametrize("arguments", RUNNING, ids=lambda arguments: " ".join(arguments[::2]))
 def test_a_log_runs_no_module_of_mine_unasked(arguments: list[str], victim: tuple[str, Path, str]) -> None:
     log, mark, name = victim
-    given = [log if argument == "LOG" else argument for argument in arguments]
+    given = [argument.replace("LOG", str(log)) for argument in arguments]
     refused = invoke(*given)
     assert refused.exit_code == 2
     assert f"would run {name}.py, which is not installed, and a log names it" in refused.stderr
@@ -420,7 +421,7 @@ def test_the_log_of_a_run_of_mine_is_mine(tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     for arguments in RUNNING:
-        found = invoke(*(log if argument == "LOG" else argument for argument in arguments))
+        found = invoke(*(argument.replace("LOG", log) for argument in arguments))
         assert found.exit_code == 0, found.output
     assert "no check failed" in " ".join(invoke("why", log).stderr.split())
     (tmp_path / f"{name}.mark").unlink()

@@ -65,7 +65,6 @@ from netem.wire.messages import (
     Grant,
     Hello,
     Inbox,
-    Memory,
     Nav,
     Note,
     Receipt,
@@ -146,7 +145,6 @@ COMMANDS = st.builds(
     st.tuples(*[st.sampled_from([0.0, 1e308, -1e308, 5e-324, 10.0])] * 3),
     st.lists(st.floats(), max_size=40).map(tuple),
 )
-MEMORIES = st.builds(Memory, st.sampled_from([0, 0, 1]), TICKS, st.binary(max_size=50) | st.just(b"x" * 47_000))
 TRANSMISSIONS = st.builds(
     Transmission,
     st.sampled_from([0, 0, 0, 1]),
@@ -156,9 +154,7 @@ TRANSMISSIONS = st.builds(
 HELLOS = messages(Hello)
 FROM_AGENTS = st.tuples(
     st.integers(1, N) | st.sampled_from([0, 77]),
-    st.one_of(
-        WIRE, ANY_MESSAGE.map(encode), (COMMANDS | MEMORIES | TRANSMISSIONS | HELLOS | messages(Receipt)).map(encode)
-    ),
+    st.one_of(WIRE, ANY_MESSAGE.map(encode), (COMMANDS | TRANSMISSIONS | HELLOS | messages(Receipt)).map(encode)),
 )
 
 
@@ -313,7 +309,7 @@ def test_no_neighbour_crashes_an_agent(controller: str, heard: list[tuple[int, b
     """An agent answers every nav with a finite command, whatever its neighbours say of themselves."""
     scenario = paper(f"controller={controller}", "network.payload=full")
     config = scenario.agent_config(2)
-    loop = AgentLoop(make_agent(config), config.round_ticks, incarnation=0, begin=0, memory_ticks=0)
+    loop = AgentLoop(make_agent(config), config.round_ticks, incarnation=0, begin=0)
     m, ticks = config.round_ticks, 25
     sender = scenario.agent_config(2).neighbours[0].id
     eta, nu = scenario.initial[1]

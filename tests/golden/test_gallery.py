@@ -52,7 +52,7 @@ PAGE = ROOT / "docs" / "guide" / "scenarios.md"
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GALLERY)
 def test_a_scenario_keeps_its_promise(name: str, tmp_path: Path) -> None:
-    thin = load_scenario(name, ["log.every=50 ticks", "log.snapshot=0 s"])
+    thin = load_scenario(name, ["log.every=50 ticks"])
     result = execute(thin, Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.PASS, (result.reason, result.lines, result.checks)
 
@@ -110,7 +110,7 @@ OF_PROTOCOLS = {"TrueMean", "AtMostOneLeader", "AgreeAfterHeal", "NoConflict"}
 def test_in_these_the_network_matters(name: str, changes: dict[str, str], passes: bool, tmp_path: Path) -> None:
     """A worse network, or one vehicle fewer that knows the course, turns the verdict round."""
     overrides = [f"{key}={value}" for key, value in changes.items()]
-    overrides += ["expect=pass", "log.every=50 ticks", "log.snapshot=0 s"]
+    overrides += ["expect=pass", "log.every=50 ticks"]
     thin = load_scenario(name, overrides)
     check = thin.spec.checks.formation_error
     if check is not None and not passes:  # such a check fails soon after it begins

@@ -7,7 +7,6 @@ from math import exp, log10, sqrt
 from pathlib import Path
 from typing import Any
 
-import msgpack
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -445,28 +444,6 @@ def test_ledger_balances_and_every_fate_is_told_once_in_its_round(
     assert reached == sorted(d for d in told if d[4] < end)
 
 
-@given(channels, conditions, faults(("clock",)), traffic, places, st.integers(0, 8))
-def test_state_and_restore_continue_as_if_uninterrupted(
-    acoustic: AcousticConfig,
-    per_link: dict[Link, Condition],
-    faults: tuple[NetFault, ...],
-    sent: list[Traffic],
-    where: list[Places],
-    cut: int,
-) -> None:
-    cut = min(cut, len(sent))
-    end = ROUND * len(sent)
-    whole = channel(acoustic, conditions=per_link, faults=faults)
-    expected = [*history(whole, sent, where), whole.close(end)]
-    first = channel(acoustic, conditions=per_link, faults=faults)
-    out = history(first, sent[:cut], where)
-    second = channel(acoustic)
-    second.restore(msgpack.unpackb(msgpack.packb(first.state())))
-    assert second.state() == first.state()
-    assert [*out, *history(second, sent[cut:], where, cut), second.close(end)] == expected
-    assert second.entered == whole.entered
-
-
 @given(st.integers(1, 20), traffic, st.floats(0.0, 70.0), st.sampled_from([25, 60, 250]))
 @settings(deadline=None)
 def test_tdma_never_collides(seed: int, sent: list[Traffic], spread: float, slot: int) -> None:
@@ -569,21 +546,6 @@ def test_a_run_that_ends_within_a_transfer_accounts_for_everything() -> None:
     netem = channel(replace(ARQ, buffer=3))
     fates = [*play(netem, [{1: (bytes(60), bytes(60))}, {}]), *netem.close(ROUND)]
     assert sorted((f.src, f.dst, f.seq) for f in fates) == [(1, dst, seq) for dst in (2, 3) for seq in (0, 1)]
-
-
-@given(st.integers(0, 2**32), st.integers(1, 7))
-@settings(max_examples=20)
-def test_transfers_and_listening_resume(seed: int, split: int) -> None:
-    both = replace(ARQ, mac="csma", backoff_ticks=40, buffer=2, shadowing=6.0, shadowing_ns=10**9, rician=1.0)
-    traffic: list[Traffic] = [{i: (bytes(8),) for i in (1, 2, 3)} for _ in range(8)]
-    places = {1: (0.0, 0.0, 0.0), 2: (900.0, 0.0, 0.0), 3: (0.0, 1500.0, 0.0)}
-    whole = channel(both, seed=seed)
-    expected = [*play(whole, traffic, places), *whole.close(ROUND * 8)]
-    first, second = channel(both, seed=seed), channel(both, seed=seed)
-    found = play(first, traffic[:split], places)
-    second.restore(msgpack.unpackb(msgpack.packb(first.state()), strict_map_key=False))
-    found += [*play(second, traffic[split:], places, split), *second.close(ROUND * 8)]
-    assert found == expected
 
 
 # --- curves, fading, several modems ----------------------------------------

@@ -176,7 +176,7 @@ place = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
 
 def frame(tick: int, places: list[Any]) -> Frame:
     rows = tuple(VehicleFrame(i, (*p, 0.0, 0.0), (), (), (), b"", (), (), (), ()) for i, p in enumerate(places, 1))
-    return Frame(tick, False, (), (), rows, b"")
+    return Frame(tick, False, (), (), rows)
 
 
 @given(st.lists(st.tuples(place, place, place, place), min_size=1, max_size=5), st.integers(0, 3), st.booleans())

@@ -6,7 +6,6 @@ import math
 from itertools import groupby, pairwise
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
 from any_condition import conditions
@@ -14,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from samples import samples
 
-from netem.condition import Condition, FourState, GilbertElliott, condition_from_values, condition_values
+from netem.condition import Condition, FourState, GilbertElliott
 from netem.config import NetemConfig
-from netem.impairment import LinkMemory, LinkModel, LinkOutcome
+from netem.impairment import LinkModel, LinkOutcome
 from netem.network import Netem
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
@@ -102,7 +101,7 @@ def test_correlation_smooths_the_random_numbers(rho: float) -> None:
     numbers, lost = [], []
     for k in range(n):
         lost.append(model.enter(k * 10**9, k, PAYLOAD)[0].cause == "loss")
-        numbers.append(model.state.last["loss"])
+        numbers.append(model._state.last["loss"])
     x = np.array(numbers)
     effective = n * (1 - rho) / (1 + rho)
     variance = (1 - rho) / (1 + rho) / 12
@@ -290,10 +289,10 @@ def test_any_change_keeps_what_is_on_its_way(before: Condition, after: Condition
     netem = Netem(NetemConfig(1, 10 * MS, 10, (1, 2), ((1, 2),), {(1, 2): before}))
     fates = list(netem.exchange(0, {1: (PAYLOAD,) * 5, 2: ()}).fates)
     due = sorted(p.due_tick for p in [*netem._transit.announced, *netem._transit.pending[2]])
-    netem.set_condition((1, 2), after)
+    netem._links.models[1, 2].condition = after
     assert sorted(p.due_tick for p in [*netem._transit.announced, *netem._transit.pending[2]]) == due
     fates += netem.exchange(10, {1: (PAYLOAD,) * 5, 2: ()}).fates
-    netem.set_condition((1, 2), Condition())
+    netem._links.models[1, 2].condition = Condition()
     fates += netem.exchange(20, {1: (PAYLOAD,), 2: ()}).fates
     fates += netem.close(30)
     assert len({(f.seq, f.copy) for f in fates}) == len(fates)
@@ -311,19 +310,6 @@ def test_a_value_that_changes_and_comes_back_shifts_no_draw() -> None:
         a, b = steady.enter(k * 10**9, k, PAYLOAD), changed.enter(k * 10**9, k, PAYLOAD)
         if not 30 <= k < 60:
             assert a == b
-
-
-@given(conditions(), st.integers(0, 2**31))
-def test_a_link_goes_on_from_its_plain_values(condition: Condition, seed: int) -> None:
-    one = link(condition, seed)
-    for k in range(20):
-        one.enter(k * MS, k, PAYLOAD)
-    values = msgpack.unpackb(msgpack.packb([condition_values(one.condition), one.state.to_values()]))
-    other = LinkModel(condition_from_values(values[0]), seed, (1, 2), LinkMemory.from_values(values[1]))
-    assert other.condition == condition
-    assert [other.enter(k * MS, k, PAYLOAD) for k in range(20, 40)] == [
-        one.enter(k * MS, k, PAYLOAD) for k in range(20, 40)
-    ]
 
 
 def test_a_link_with_its_own_seed() -> None:

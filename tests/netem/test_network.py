@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from math import sqrt
 
-import msgpack
 import pytest
 from any_condition import conditions as any_conditions
 from any_condition import link_states, link_traces
@@ -179,22 +178,6 @@ def test_a_radio_shifts_no_draw(per_link: dict[Link, Given], per_radio: dict) ->
     assert lost(per_radio) == lost({})
 
 
-@given(per_link, per_radio, rounds_of_traffic, st.integers(0, 12))
-def test_state_and_restore_continue_as_if_uninterrupted(
-    per_link: dict[Link, Given], per_radio: dict, traffic: list, cut: int
-) -> None:
-    cut, of = min(cut, len(traffic)), replace(config(per_link), radios=per_radio)
-    whole = Netem(of)
-    expected = [*play(whole, traffic), *whole.close(10 * len(traffic))]
-    first = Netem(of)
-    fates = play(first, traffic[:cut])
-    second = Netem(of)
-    second.restore(msgpack.unpackb(msgpack.packb(first.state())))
-    fates += [*play(second, traffic[cut:], cut), *second.close(10 * len(traffic))]
-    assert fates == expected
-    assert second.entered == whole.entered
-
-
 def test_loss_and_jitter_have_the_distribution_they_promise() -> None:
     """Against closed forms, three standard errors: Bernoulli 30 %, uniform 150..250 ms with variance w^2/12."""
     netem = Netem(config({(1, 2): Condition(200_000_000, 50_000_000, 0.3, limit=10**6)}, ((1, 2),)))
@@ -353,9 +336,8 @@ def test_a_hold_without_an_end_fits_into_a_message_whatever_a_tick_is(tick_ns: i
     fault = NetFault("f", 0, None, "hold", ((1, 2),), values=values)
     netem = Netem(replace(config({}), tick_ns=tick_ns, faults=(fault,)))
     netem.exchange(0, {1: (b"x",), 2: (), 3: ()})
-    msgpack.packb(netem.state())
     (held,) = [fate for fate in netem.close(1000) if fate.cause == Cause.IN_FLIGHT]
-    report = LinkReport(1000, True, False, (held,), b"")
+    report = LinkReport(1000, True, False, (held,))
     assert decode(encode(report)) == report
 
 
@@ -389,20 +371,6 @@ def test_a_hold_that_is_healed_is_one_that_ends_then(end: int, reverse: bool, pl
             found.append(netem.exchange(k, {1: (b"x",), 2: (), 3: ()}))
         outcomes.append((found, netem.close(150)))
     assert outcomes[0] == outcomes[1]
-
-
-@pytest.mark.parametrize("reverse", [False, True])
-def test_a_run_that_goes_on_keeps_what_was_held(reverse: bool) -> None:
-    """As plain values, which a snapshot has."""
-    fault = NetFault("f", 0, 35, "hold", ((1, 2),), values=(1.0,) if reverse else ())
-    of = replace(config({(1, 2): Condition(delay_ns=TICK_NS)}), round_ticks=10, faults=(fault,))
-    first, second = Netem(of), Netem(of)
-    for k in (0, 10):
-        first.exchange(k, {1: (b"x", b"y"), 2: (), 3: ()})
-    second.restore(msgpack.unpackb(msgpack.packb(first.state())))
-    for k in (20, 30):
-        assert second.exchange(k, dict.fromkeys((1, 2, 3), ())) == first.exchange(k, dict.fromkeys((1, 2, 3), ()))
-    assert second.entered == first.entered
 
 
 @given(st.integers(1, 50), st.sampled_from([0.0, 1.0]))

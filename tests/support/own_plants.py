@@ -112,37 +112,6 @@ class Counting(Rolling):
         self._steps = values["steps"]
 
 
-class Sharing(Counting):
-    """Gives what it remembers itself, not a copy."""
-
-    def __init__(self, config: PlantConfig) -> None:
-        super().__init__(config)
-        self._all = [0]
-
-    def step(self, state: tuple[float, ...], tau: Vec3, water: Water, dt: float) -> tuple[float, ...]:
-        self._all.append(len(self._all))
-        return super().step(state, tau, water, dt)
-
-    def state(self) -> Any:
-        return self._all
-
-
-class Forgetful(Counting):
-    """Cannot say what it remembers."""
-
-    def __init__(self, config: PlantConfig, *, values: Any = None) -> None:
-        super().__init__(config)
-        self._values = values
-
-    def state(self) -> Any:
-        if self._values == "loop":
-            while True:
-                pass
-        if self._values is None:
-            raise LookupError("no memory")
-        return object()
-
-
 class Clinging(Rolling):
     """Cannot be ended."""
 

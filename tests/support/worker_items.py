@@ -6,8 +6,11 @@ import os
 import signal
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from types import ModuleType
+
+from fleet.processes.apart import apart
 
 
 def step(number: int) -> int:
@@ -64,3 +67,34 @@ def known_to_the_worker_alone(number: int) -> object:
 def masked(_: object) -> set[signal.Signals | int]:
     """The signals that do not reach this process."""
     return signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def copied(number: int) -> tuple[list[int], list[int]]:
+    """What three copies of this process make of a list, one after the other, and the list; none is left."""
+    known = [number]
+
+    def add(more: int) -> int:
+        known.append(more)
+        return sum(known)
+
+    found = [apart(partial(add, more)) for more in (1, 2, 3)]
+    try:
+        os.waitpid(-1, os.WNOHANG)
+    except ChildProcessError:
+        return found, known
+    raise RuntimeError("a copy is left")
+
+
+def step_apart(number: int) -> int:
+    """As `step`, in a copy of this process."""
+    return apart(partial(step, number))
+
+
+def hang_apart() -> None:
+    """Has a copy of this process write its number to standard output, and wait for ever."""
+
+    def tell() -> None:
+        os.write(1, f"{os.getpid()}\n".encode())
+        hang()
+
+    apart(tell)

@@ -220,7 +220,7 @@ def notes(keys: Keys) -> list[tuple[str, bytes]]:
     nav = encode(Nav(0, 3, (0.0,) * 5, (0.0,) * 5))
     frames = [
         encode(Frames(())),
-        *(encode(LinkReport(at, over, False, (), b"")) for at, over in ((0, False), (200, True))),
+        *(encode(LinkReport(at, over, False, ())) for at, over in ((0, False), (200, True))),
     ]
     lies = [encode(Note("world", 99, 2**63, "[red]\x1b[2Jall is lost[/red]")), encode(Note("x" * 4096, 0, 0, ""))]
     return [(keys.note("agent-3"), data) for data in [b"", b"\xc1", nav, *frames, *lies]]

@@ -162,8 +162,8 @@ def test_the_same_bytes_as_plain_python(name: str, options: list[str], compiled:
     assert '"cores": "compiled"' in (directory / "result.json").read_text()
 
 
-def test_a_snapshot_of_one_goes_on_in_the_other(compiled: Path, tmp_path: Path) -> None:
-    changes = ["duration=10 s", "checks={}", "log.snapshot=2 s"]
+def test_a_run_of_one_goes_on_in_the_other(compiled: Path, tmp_path: Path) -> None:
+    changes = ["duration=10 s", "checks={}"]
     whole = execute(load_scenario("rough-sea", changes), Options(tmp_path / "p", in_process=True, quiet=True))
     result = fleet(compiled, "verify", str(whole.directory), folder=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr

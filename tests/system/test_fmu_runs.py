@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from functools import partial
 from pathlib import Path
 
@@ -14,11 +15,16 @@ from repository import ROOT
 from small_scenario import SMALL
 from tool import invoke
 
+from fleet.explanation.no_return import healed
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import digest
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
+from fleet.study.engine import local_engine
 from fleet.study.modules import folder_of, modules_of, packed
+from fleet.study.one_run import Task, make_run
+from fleet.study.row import Row
+from fleet.study.shrink import tree_of
 
 PLANTS = """\
 vehicle: {plant: {name: "fmu:two.fmu", parameters: {signals: {effort: effort}}}}
@@ -43,11 +49,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    """A run in this process, with snapshots, in a folder of its own."""
+    """A run in this process, in a folder of its own."""
     folder = with_units(tmp_path_factory.mktemp("units"))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        return recorded(folder / "runs", "units.yaml", "log.snapshot=500 ms")
+        return recorded(folder / "runs", "units.yaml")
 
 
 @pytest.fixture
@@ -67,7 +73,7 @@ run = partial(recorded, Path("runs"), "units.yaml")
 
 
 def test_a_fleet_of_units_gives_the_same_bytes_alone_and_distributed(whole: Result, there: Path) -> None:
-    distributed = run("log.snapshot=500 ms", in_process=False)
+    distributed = run(in_process=False)
     assert (whole.status, distributed.status) == (Status.PASS, Status.PASS)
     assert digest(there / "run.mcap") == digest(distributed.directory / "run.mcap")
     log = open_log(there)
@@ -94,13 +100,29 @@ def test_a_run_goes_on_from_its_log_bit_for_bit(there: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_whose_unit_cannot_save_its_state_is_not_resumed(folder: Path) -> None:
+def test_a_run_whose_unit_cannot_save_its_state_goes_on(folder: Path) -> None:
     build(folder / "two.fmu", 2, description(2, saves=False))
-    whole = run("log.snapshot=500 ms", "per_vehicle={}")
-    status, said = call("run", "--from", f"{whole.directory}@0.5s", "--in-process", "--trust")
-    assert status != 0
-    assert "two.fmu cannot save its state" in said
-    assert "its run cannot be resumed; run it from the start" in said
+    whole = run("per_vehicle={}")
+    status, said = call("run", "--from", f"{whole.directory}@0.5s", "--in-process", "--trust", "--out", "rest")
+    assert status == 0, said
+    one, other = open_log(whole.directory), open_log(Path("rest/latest"))
+    assert one["uuv/2/state"].x[-1] == other["uuv/2/state"].x[-1]
+    assert call("verify", "rest/latest", "--trust")[0] == 0
+
+
+def test_a_run_with_units_is_healed_without_copies(folder: Path) -> None:
+    """A copy of the process would share the process of the unit."""
+    scenario = load_scenario(folder / "units.yaml", ["faults=[{at: 200 ms, mute: 1}]"])
+    tree = tree_of(scenario)
+    each = tuple((tick, json.dumps(healed(tree, tick * scenario.tick_ns))) for tick in (30, 60))
+    asked = Task(
+        "units", 0, scenario.seed, scenario.name, scenario.to_yaml(), 60.0, modules_of([scenario], folder), healed=each
+    )
+    rows: list[Row] = []
+    with local_engine(1) as engine:
+        engine.make(iter([asked]), rows.extend, lambda: None)
+    alone = [make_run(asked._replace(text=text, healed=())) for _, text in each]
+    assert [one.checks for one in rows[0].futures] == [one.checks for one in alone]
 
 
 def test_a_unit_that_hangs_ends_its_vehicle_and_nothing_else(folder: Path) -> None:
@@ -115,9 +137,9 @@ def test_a_unit_that_hangs_ends_its_vehicle_and_nothing_else(folder: Path) -> No
 
 
 @pytest.mark.slow
-def test_snapshots_go_on_after_a_unit_crashed_and_a_run_goes_on_from_them(folder: Path) -> None:
+def test_a_run_goes_on_from_a_moment_after_a_unit_crashed(folder: Path) -> None:
     plant = 'vehicle={plant: {name: "fmu:two.fmu", parameters: {start: {crash_at: 0.5}}}}'
-    _, said = call("run", "units.yaml", "--set", plant, "--set", "log.snapshot=200 ms", "--in-process", "--out", "runs")
+    _, said = call("run", "units.yaml", "--set", plant, "--in-process", "--out", "runs")
     assert "tick 50) vehicle 1: error: two.fmu ended its process by signal 6" in said
     log = open_log(Path("runs/latest"))
     assert log["uuv/2/state"].t[-1] == pytest.approx(1.0)

@@ -24,7 +24,7 @@ MIXED = (
     "per_vehicle={1: {vehicle: {plant: 'own_plants:Rolling'}}, 2: {vehicle: {plant: 'own_plants:Counting'}}, "
     "3: {vehicle: {plant: {name: 'own_plants:Weak', parameters: {lag: 0.03}}}}}"
 )
-SHORT = ("duration=2 s", "checks={ledger: balanced}", "profile=hardened", "log.snapshot=1 s", MIXED)
+SHORT = ("duration=2 s", "checks={ledger: balanced}", "profile=hardened", MIXED)
 NOISY = (*SHORT, "sensors.angle_noise=1 deg", "faults=[{at: 500 ms, for: 300 ms, freeze: 1}]")
 
 

@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loops import PARAMS, TAU_MAX, world_config
 from repository import GOLDEN
-from world_copy import copy_state, state_values
 
 from world.config import NavNoise, VehicleSetup, WorldConfig
 from world.disturbance import NO_FORCE, PAPER, disturbance
@@ -238,28 +237,15 @@ def test_damping_dissipates_through_the_vertical(turn: float, theta: float) -> N
         state = after
 
 
-def test_state_and_restore_through_the_vertical() -> None:
-    setup = VehicleSetup(1, (0.0, 0.0, 5.0, 1.5, 0.3), (1.0, 0.2, 0.1, 2.0, 0.6), PARAMS, TAU_MAX)
-    config = replace(world_config(), vehicles=(setup,))
-    world = World(config)
-    for _ in range(12):
-        other = World(config)
-        copy_state(world, other)
-        world.advance(1, (5.0, 8.0, 0.5))
-        other.advance(1, (5.0, 8.0, 0.5))
-        assert state_values(other) == state_values(world)
-    assert world.pitch(1)[0] > math.pi / 2
-
-
 @pytest.mark.parametrize("u", [1e200, 1e308])
 def test_a_motion_that_leaves_the_finite_numbers_is_an_error(u: float) -> None:
     runaway = VehicleSetup(1, (0.0, 0.0, 0.0, 0.0, 0.0), (u, u, u, 1e150, 1e150), PARAMS, TAU_MAX)
     world = World(replace(world_config(), vehicles=(runaway,)))
-    before = state_values(world)
+    before = world.tick(1), world.state(1)
     with pytest.raises(IntegrationError) as caught:
         world.advance(1, REST)
     assert caught.value.reason == "the motion left the finite numbers"
-    assert state_values(world) == before
+    assert (world.tick(1), world.state(1)) == before
 
 
 def test_actuators_limit_and_refuse() -> None:
@@ -289,23 +275,6 @@ def test_the_fleet_is_every_vehicle_alone(order: list[int], substeps: int, curre
     for i in together.ids:
         assert together.tick(i) == alone[i].tick(i) == order.count(i)
         assert together.state(i) == alone[i].state(i)
-
-
-@settings(max_examples=20)
-@given(st.lists(st.tuples(st.sampled_from((1, 2, 3, 4)), commands), max_size=20), commands)
-def test_world_state_and_restore(history: list[tuple[int, Vec3]], tau: Vec3) -> None:
-    """step, state, restore in a fresh object, step == uninterrupted."""
-    config = replace(world_config(PAPER), noise=NavNoise(0.1, 0.01, 0.1, 0.01))
-    world = World(config)
-    for i, earlier in history:
-        world.advance(i, earlier)
-    other = World(config)
-    copy_state(world, other)
-    for w in (world, other):
-        for i in w.ids:
-            w.advance(i, tau)
-    assert state_values(other) == state_values(world)
-    assert [other.sense(i) for i in other.ids] == [world.sense(i) for i in world.ids]
 
 
 def noisy(noise: NavNoise, vehicles: int = 4, seed: int = 1) -> WorldConfig:

@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from loops import world_config
 from small_scenario import small
-from world_copy import copy_state
 
 from fleet.scenario.loading import parse_scenario
 from netem.wire.codec import decode, encode
@@ -143,23 +140,6 @@ def test_a_dropout_repeats_what_was_measured_before() -> None:
     repeated = [measured[k] == measured[k - 1] for k in range(6, 10)]
     assert any(repeated)
     assert all(measured[k] in (truth[k], measured[k - 1]) for k in range(1, 12))
-
-
-@given(
-    st.lists(st.tuples(st.sampled_from(sorted(KINDS)), st.integers(0, 20), st.integers(1, 15)), max_size=5),
-    st.integers(0, 25),
-)
-def test_a_world_goes_on_from_its_plain_values(found: list[tuple[str, int, int]], cut: int) -> None:
-    """Frozen sensors and stuck actuators included; vehicles may be advanced in any order."""
-    faults = tuple(
-        WorldFault(f"f{n}", begin, begin + span, kind, (1, 2), KINDS[kind])  # type: ignore[arg-type]
-        for n, (kind, begin, span) in enumerate(sorted(found, key=lambda f: f[1]))
-    )
-    whole = drive(world(*faults), 25)
-    first, second = world(*faults), world()
-    drive(first, cut)
-    copy_state(first, second)
-    assert drive(second, 25 - cut, cut) == whole[cut:]
 
 
 @pytest.mark.parametrize(

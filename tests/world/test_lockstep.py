@@ -179,12 +179,12 @@ def test_the_journal_notices_what_is_missing(tmp_path: Path) -> None:
     assert journal.written == -1  # netem has not reported tick 0
     with pytest.raises(OutOfPlace, match="frame: expected 1, got 2"):
         journal.frame(frames[2])
-    journal.links(LinkReport(0, False, False, (), b""))
+    journal.links(LinkReport(0, False, False, ()))
     assert journal.written == 0
     with pytest.raises(OutOfPlace, match="link report: expected 10, got 20"):
-        journal.links(LinkReport(20, False, False, (), b""))
+        journal.links(LinkReport(20, False, False, ()))
     rows = frames[1].vehicles
-    halves = [Frame(1, True, (), (), rows[:2], b""), Frame(1, False, (), (), rows[2:], b"")]
+    halves = [Frame(1, True, (), (), rows[:2]), Frame(1, False, (), (), rows[2:])]
     journal.frame(halves[0])
     assert journal.framed == 0
     journal.frame(halves[1])

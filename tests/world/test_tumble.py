@@ -124,7 +124,7 @@ def test_tumbles_can_be_waived_limited_and_asked_of_some(tmp_path: Path) -> None
 
 
 def test_a_run_that_goes_on_while_a_vehicle_is_tumbled_knows_it(tmp_path: Path) -> None:
-    long = ["duration=4 s", "faults=[{at: 500 ms, kill: 3}]", "log.snapshot=500 ms", CALM]
+    long = ["duration=4 s", "faults=[{at: 500 ms, kill: 3}]", CALM]
     whole = run(tmp_path, "paper", *long)
     spell = whole.values["tumbles"][0]
     at_ns = round((spell["from_s"] + 0.6) * 1e9)
@@ -134,17 +134,6 @@ def test_a_run_that_goes_on_while_a_vehicle_is_tumbled_knows_it(tmp_path: Path) 
     assert [s["vehicle"] for s in rest.values["tumbles"]][:1] == [3]
     assert rest.values["tumbles"][0]["to_s"] == spell["to_s"]
     assert not next(v for v in rest.checks if v.check == "tumbled").passed
-
-
-def test_a_vehicle_that_an_older_version_gave_up_goes_on(tmp_path: Path) -> None:
-    """Snapshots of older logs say so with a plain yes."""
-    short = ["duration=1 s", "log.snapshot=500 ms", CALM]
-    whole = run(tmp_path, "paper", *short)
-    scenario, start = continuation(whole.directory, 500_000_000)
-    start.snapshot.world["vehicles"][2][4] = True
-    rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
-    assert rest.status is Status.PASS, rest.reason
-    assert rest.values["vehicles"]["3"]["e_final_m"] == whole.values["vehicles"]["3"]["e_final_m"]
 
 
 def test_a_run_that_is_meant_to_fail(tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def test_it_moves_as_it_did(name: str) -> None:
 def test_it_goes_on_from_a_snapshot(name: str, tmp_path: Path) -> None:
     """All that its vehicles, plants, instruments and filters remember is in a snapshot."""
     text, faults = CASES[name]
-    changes = ["log.snapshot=1 s", *(Override(FAULT, fault) for fault in faults)]
+    changes = [*(Override(FAULT, fault) for fault in faults)]
     first = execute(parse_scenario(text, "sea.yaml", changes), Options(tmp_path, in_process=True, quiet=True))
     scenario, start = continuation(first.directory, 1_000_000_000)
     again = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))

@@ -188,10 +188,6 @@ class NavigationFilter:
         self._forget(i)
         return nis, used
 
-    def keep_only(self, keys: set[int]) -> None:
-        for key in [key for key in self.kept if key not in keys]:
-            self._forget(SIZE + 2 * self.kept.index(key))
-
     def _widen(self, north: float, east: float) -> None:
         """The position, now and in the past, is more uncertain by these variances [m^2]."""
         for axis, by in ((N, north), (E, east)):
@@ -234,14 +230,3 @@ class NavigationFilter:
     def sigma(self, i: int) -> float:
         """The standard deviation of x_i."""
         return sqrt(max(0.0, self.p[i][i]))
-
-    def memory(self) -> list[list[float]]:
-        since = [self.north, self.east, self.time, self.drifting]
-        own = [float(self.mode), float(self.refused), *since, *map(float, self.kept)]
-        return [list(self.x), own, *(list(row) for row in self.p)]
-
-    def restore(self, values: list[list[float]]) -> None:
-        self.x = [float(value) for value in values[0]]
-        mode, refused, self.north, self.east, self.time, self.drifting, *kept = values[1]
-        self.mode, self.refused, self.kept = int(mode), int(refused), [int(key) for key in kept]
-        self.p = [[float(value) for value in row] for row in values[2:]]

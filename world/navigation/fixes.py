@@ -69,13 +69,6 @@ class Fixes:
     def _key(tick: int, number: int) -> int:
         return tick * MOST_SOURCES + number
 
-    def memory(self) -> list[list[float]]:
-        return [list(one) for one in self._under_way]
-
-    def restore(self, values: list[list[float]], estimate: NavigationFilter) -> None:
-        self._under_way = [list(one) for one in values if int(one[2]) < len(self._sources)]
-        estimate.keep_only({self._key(int(one[1]), int(one[2])) for one in self._under_way})
-
 
 def _sigma(source: FixSource, true: Vec3) -> float:
     """The standard deviation of a fix on each axis [m]; negative: there is none."""

@@ -121,14 +121,6 @@ class Instruments:
         forward, starboard = c * north + s * east, c * east - s * north
         return self.scale * forward + self.dvl[0] * dt, self.scale * starboard + self.dvl[1] * dt
 
-    def memory(self) -> list[list[float]]:
-        return [[self._walk, self.depth, float(self.mode)], list(self.gyro), list(self.dvl), list(self.held)]
-
-    def restore(self, values: list[list[float]]) -> None:
-        (self._walk, self.depth, mode), gyro, dvl, held = values
-        self.mode = int(mode)
-        self.gyro, self.dvl, self.held = list(gyro), list(dvl), list(held)
-
     def _depth_sample(self, tick: int) -> float:
         return self._depth_bias + self._draw(self._config.grade.depth_noise, "depth", tick)
 

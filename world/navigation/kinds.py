@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import Any
 
 from netem.wire.messages import Fix, WorldFault
 from world.navigation.config import Navigation, NavigationTrace
@@ -53,18 +52,15 @@ class ReplayedError:
         """Move on by a tick."""
         self._tick += 1
 
+    def begin(self, tick: int, state: State) -> None:
+        """Go on at a tick, which says it all."""
+        self._tick = tick
+
     def covariance(self) -> tuple[float, ...]:
         return ()
 
     def take_fixes(self) -> tuple[Fix, ...]:
         return ()
-
-    def memory(self) -> list[Any]:
-        """Nothing: the tick says it all."""
-        return []
-
-    def restore(self, tick: int, values: list[Any] | None, state: State) -> None:
-        self._tick = tick
 
 
 def navigation_of(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import cos, isfinite, sin
-from typing import Any
 
 from netem.draws import normal
 from netem.wire.messages import Fix, WorldFault
@@ -32,19 +31,22 @@ class Navigator:
         self._seed, self._i = seed, i
         self._instruments = Instruments(config, seed, i, tick_ns)
         self._fixes = Fixes(config.fixes, seed, i, tick_ns)
-        self.filter: NavigationFilter = self._begin(state)
+        self.filter: NavigationFilter
         self._tick: int = 0
         self._current: Vec3 = (0.0, 0.0, 0.0)
         self._tell: list[Fix] = []  # fixes that nobody has asked for yet
+        self.begin(0, state)
 
-    def _begin(self, state: State) -> NavigationFilter:
+    def begin(self, tick: int, state: State) -> None:
+        """Begin with the true state at a tick."""
         start, purpose = self._config.start, START
         off = [start * normal(self._seed, purpose, self._i, axis) if start else 0.0 for axis in range(2)]
         self._instruments.turn_rates(0)
         self._instruments.velocity(0, state[2])
         heading = self._instruments.heading(0, state[4])
         assert heading is not None  # there is one at the start
-        return NavigationFilter(self._config, state[0] + off[0], state[1] + off[1], heading)
+        self.filter = NavigationFilter(self._config, state[0] + off[0], state[1] + off[1], heading)
+        self._tick = tick
 
     def step(self, before: State, after: State, current: Vec3, faults: Sequence[WorldFault], phi: float) -> None:
         """Take what is measured on the way to the next tick.
@@ -128,26 +130,6 @@ class Navigator:
         taken = tuple(self._tell)
         self._tell = []
         return taken
-
-    def memory(self) -> list[Any]:
-        """All that the next steps depend on, as MessagePack values."""
-        told = [[f.source, f.measured, f.tick, list(f.position), f.sigma, f.nis, f.used] for f in self._tell]
-        return [self.filter.memory(), self._instruments.memory(), self._fixes.memory(), list(self._current), told]
-
-    def restore(self, tick: int, values: list[Any] | None, state: State) -> None:
-        """Continue at a tick from `memory()`; None: the vehicle had no filter before, and begins with it now. `state`:
-        the truth at that tick."""
-        if not values:
-            self.filter = self._begin(state)
-            self._tick = tick
-            return
-        known, measured, under_way, (x, y, z), told = values
-        self._tick = tick
-        self.filter.restore(known)
-        self._instruments.restore(measured)
-        self._fixes.restore(under_way, self.filter)
-        self._current = x, y, z
-        self._tell = [Fix(a, b, c, tuple(d), e, f, g) for a, b, c, d, e, f, g in told]
 
 
 def body(vector: Vec3, phi: float, theta: float, psi: float) -> Vec3:

@@ -13,11 +13,11 @@ from world.api import PlantConfig, PlantState, Water
 from world.config import PlantSetup
 from world.errors import PlantError
 from world.plants.classes import plant_class
-from world.plugins.checks import MAX_NUMBERS, resumable
+from world.plugins.checks import MAX_NUMBERS
 from world.plugins.fence import Fence, numbers_of, shown
 from world.plugins.trust import allow_file
 from world.signal import Signal
-from world.vectors import Vec2, Vec3, Vec5, Vec6
+from world.vectors import Vec2, Vec3, Vec6
 
 _TOLERANCE = 1e-3  # by how much a plant may begin elsewhere than it was told [m, rad]
 
@@ -26,7 +26,7 @@ class FencedPlant:
     """The plant of one vehicle, at the tick that the vehicle has reached. Every failure is a PlantError."""
 
     def __init__(self, setup: PlantSetup, config: PlantConfig) -> None:
-        """Make the plant; `start` or `restore` puts it into the water. Raises PluginError: there is no such plant, or
+        """Make the plant; `start` puts it into the water. Raises PluginError: there is no such plant, or
         it cannot be used; PlantError: it cannot be made, or has limits that are none."""
         self.name = setup.name
         self.notes: list[tuple[int, str]] = []  # (tick, text) for a person; the reader clears it
@@ -38,7 +38,6 @@ class FencedPlant:
             allow_file(setup.name, Path(setup.file))
         plant = plant_class(setup.name, setup.parameters)
         self._signals: tuple[Signal, ...] = getattr(plant, "signals", ())
-        self._resumable = resumable(plant)
         failure = partial(PlantError, config.vehicle)
         if setup.file:  # no line of a program is at fault
             failure = partial(_failure_without_line, config.vehicle)
@@ -90,33 +89,16 @@ class FencedPlant:
         """
         self._take(tick, self._plant.step, self._fence.call(tick, self._moved, tau, current, wrenches, dt))
 
+    @property
+    def holds(self) -> bool:
+        """Whether it holds something that `close` ends."""
+        return callable(getattr(self._plant, "close", None))
+
     def close(self) -> None:
         """Let the plant end everything that it holds. It is not used afterwards."""
         if callable(close := getattr(self._plant, "close", None)):
             with suppress(Exception, SystemExit):  # the run is over, and its result stands
                 close()
-
-    def memory(self, tick: int, *, moves: bool = True) -> list[Any]:
-        """Everything that the next steps depend on, for `restore`: [name, roll, state, further memory of the plant].
-        `tick`: tick of the present state. `moves`: the vehicle has further steps. The world does not ask a plant that
-        failed for its memory. Raises PlantError: the plant's own `state` failed, or returned other values than plain
-        ones."""
-        inside = self._fence.remembered(self._plant.state, tick) if self._resumable and moves else None
-        return [self.name, [*self.roll], [*self.state], inside]
-
-    def restore(self, tick: int, values: list[Any] | None, pose: Vec5, velocity: Vec5) -> None:
-        """Continue from the memory of another run. If the vehicle had another plant there, start at its pose. `values`:
-        the result of `memory` in the other run. None: the vehicle had no plant. `pose`: x, y, z [m, NED], theta, psi
-        [rad] of the vehicle in the other run. `velocity`: u, v, w [m/s, body], q, r [rad/s] of the vehicle in the other
-        run. Raises PlantError: the plant cannot continue from it."""
-        name, (phi, p), state, inside = values if values is not None else ("", (0.0, 0.0), [], None)
-        if name != self.name:
-            self.start(tick, (*pose[:3], phi, *pose[3:]), (*velocity[:3], p, *velocity[3:]))
-            return
-        if self._resumable and inside is not None:
-            self._fence.call(tick, self._plant.restore, inside)
-        self.state = tuple(map(float, state))
-        self._take(tick, self._plant.pose, self._fence.call(tick, self._observed, self.state))
 
     def _moved(self, tau: Vec3, current: Vec3, wrenches: Iterable[Vec6], dt: float) -> tuple[Any, Any, Any, Any]:
         state, step, size = self.state, self._plant.step, len(self.state)

@@ -148,18 +148,6 @@ class FmuPlant:
         first = 1 + len(self._at)
         return {signal.name: state[first + k] for k, signal in enumerate(self.signals)}
 
-    def state(self) -> bytes:
-        """The inner state of the unit; nothing if the unit cannot give it."""
-        saved: bytes = self._ask("save") if self.facts.saves else b""
-        return saved
-
-    def restore(self, values: bytes) -> None:
-        """Go on from what `state` gave. Raises FmuError: the unit could not give its state, or does not take it."""
-        if not values or not self.facts.saves:
-            problem = "cannot save its state (canGetAndSetFMUstate, canSerializeFMUstate): its run cannot be resumed"
-            raise FmuError(problem, "run it from the start")
-        self._ask("load", values)
-
     def close(self) -> None:
         self._close()
 

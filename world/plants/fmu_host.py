@@ -92,32 +92,6 @@ class _Unit:
             raise RuntimeError("asks to end the simulation")
         return list(self._get(self._outputs))
 
-    def save(self) -> bytes:
-        fmu = self._fmu
-        if self._version == 2:
-            state = fmu.getFMUstate()
-            try:
-                return bytes(fmu.serializeFMUstate(state))
-            finally:
-                fmu.freeFMUstate(state)
-        state = fmu.getFMUState()
-        try:
-            return bytes(fmu.serializeFMUState(state))
-        finally:
-            fmu.freeFMUState(state)
-
-    def load(self, saved: bytes) -> None:
-        fmu = self._fmu
-        if self._version == 2:
-            state = fmu.deSerializeFMUstate(saved)
-            fmu.setFMUstate(state)
-            fmu.freeFMUstate(state)
-        else:
-            state = fmu.deserializeFMUState(saved)
-            fmu.setFMUState(state)
-            fmu.freeFMUState(state)
-        self._begun = True
-
 
 def _end_with_parent(folder: str) -> threading.Thread:
     def watch() -> None:

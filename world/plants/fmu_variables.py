@@ -75,7 +75,6 @@ class Description:
     guid: str = ""
     model: str | None = None  # the identifier of its model for co-simulation; None: it has none
     library: str = ""  # in the unpacked archive, for this machine
-    saves: bool = False  # whether it can give and take its state as bytes
     units: dict[str, BaseUnit] = field(default_factory=dict)
     variables: dict[str, UnitVariable] = field(default_factory=dict)
 
@@ -174,9 +173,7 @@ class _Description:
         self._found.guid = attributes.get("guid" if version[0] == "2" else "instantiationToken", "")
 
     def _simulation(self, attributes: dict[str, str]) -> None:
-        state = "FMUstate" if self._found.version == 2 else "FMUState"
         self._found.model = attributes.get("modelIdentifier", "")
-        self._found.saves = all(attributes.get(f"{able}{state}") in _TRUE for able in ("canGetAndSet", "canSerialize"))
 
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         name, reference = attributes.get("name"), attributes.get("valueReference", "")

@@ -86,11 +86,6 @@ MAX_NUMBERS = 1000  # of one signal
 _UNITLESS = "1"
 
 
-def resumable(plugin_class: type[Any]) -> bool:
-    """Whether a plug-in can give and take back its state."""
-    return callable(getattr(plugin_class, "state", None)) and callable(getattr(plugin_class, "restore", None))
-
-
 def check_class(
     kind: str,
     name: str,
@@ -121,8 +116,6 @@ def check_class(
         _check_method(kind, name, plugin_class, method, arguments)
     if abstract := sorted(getattr(plugin_class, "__abstractmethods__", ())):
         raise PluginError(kind, name, f"it is abstract: it lacks {', '.join(abstract)}")
-    if callable(getattr(plugin_class, "state", None)) != callable(getattr(plugin_class, "restore", None)):
-        raise PluginError(kind, name, "it has only one of state and restore", "write both, or neither")
     try:
         signature = inspect.signature(plugin_class)
     except ValueError:  # written in C: making it will show

@@ -20,8 +20,6 @@ from time import perf_counter, thread_time
 from types import FrameType
 from typing import Any
 
-import msgpack
-
 from world.errors import FmuError
 from world.plugins.checks import MAX_NUMBERS, in_library, place_of, place_of_line, place_of_method, words_of
 from world.signal import Signal
@@ -89,24 +87,6 @@ class Fence:
             if isinstance(error, BdbQuit):  # an agent process has no terminal
                 problem += ": to debug, run it with --in-process"
             raise self._failure(tick, problem, place_of(error) or place_of_method(function)) from error
-
-    def remembered(self, method: Callable[[], Any], tick: int | None = None) -> Any:
-        """A copy of what `state()` of the plug-in returns, which its next calls leave alone.
-
-        Args:
-            method: its `state`.
-            tick: of the question; None: that of the call before.
-
-        Raises:
-            Exception: the `failure` of this fence: it raised, took too long, or returned what a log cannot hold.
-        """
-        at = self._tick if tick is None else tick
-        values = self.call(at, method)
-        try:
-            return msgpack.unpackb(msgpack.packb(values), strict_map_key=False)
-        except Exception as error:  # whatever packing the user's objects raises
-            text = f"returned from state() {shown(values)}, which a log cannot hold: {words_of(error)}"
-            raise self.wrong(at, method, text) from None
 
     def wrong(self, tick: int, method: Any, problem: str) -> Exception:
         """The error for an answer that cannot be used."""

@@ -13,7 +13,6 @@ from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules import checks, faults, laws, motion, network, nodes
 from fleet.scenario.rules.report import Report, whole_multiple
 from fleet.scenario.schema.spec import sections
-from fleet.scenario.sections.log_rates import snapshot_grid
 from fleet.scenario.sections.per_vehicle import qp_period_ns, used
 
 # --- periods and times: what must be whole ticks
@@ -62,15 +61,6 @@ def policies(parts: Parts, report: Report) -> None:
             report.add((*path, "external"), message, "give the network a period")
 
 
-def snapshot(parts: Parts, report: Report) -> None:
-    spec = parts.spec
-    if spec.log.snapshot:
-        every = snapshot_grid(spec)
-        if spec.log.snapshot % (every * spec.tick):
-            message = f"{show_time(spec.log.snapshot)} is no multiple of {show_time(every * spec.tick)}"
-            report.add(("log", "snapshot"), message, "a snapshot is taken at a round whose frame is logged")
-
-
 def check(parts: Parts, report: Report) -> None:
     """Report every mistake that a rule finds."""
     with_nodes = "nodes" in report.root.entries
@@ -87,7 +77,6 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     duration,
     network_period,
     policies,
-    snapshot,
     qp_period,
     motion.reference,
     motion.formation,

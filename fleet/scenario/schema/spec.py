@@ -73,7 +73,7 @@ class LogSection(Section):
     located: v.Ticks | None = None  # of vehicles that use ranges
     transforms: v.TicksOrNever | None = None  # of all vehicles, about 10 Hz; 0 ticks: never
     scene: v.TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
-    snapshot: v.Time | None = None  # of all that determines the rest of the run; about 10 s; 0 s: none
+    snapshot: v.Time | None = None  # has no effect; versions up to 1.0 wrote snapshots into the log
 
 
 def _read_log(value: Any) -> Any:

@@ -45,3 +45,10 @@ def test_the_size_of_a_log_is_foreseen(made: Alone) -> None:
         assert (
             log_mb(scenario) == pytest.approx(written / 1e6, rel=0.33 if n == 0 else 0.5) and written < LARGE_MB * 1e6
         )
+
+
+def test_a_key_without_effect_is_said() -> None:
+    """Scenarios of versions up to 1.0 may have it."""
+    said = [text for text in warnings(small("log.snapshot=2 s")) if "log.snapshot" in text]
+    assert said == ["log.snapshot has no effect: a run goes on from any moment of its log; leave it out"]
+    assert not [text for text in warnings(small()) if "log.snapshot" in text]

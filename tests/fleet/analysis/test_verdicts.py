@@ -56,14 +56,14 @@ def fed(
     before(journal)
     for tick in range(0, until + 1, frame_every(scenario)):
         rows = tuple(_row(scenario, i, tick, error(i, tick)) for i in (1, 2, 3))
-        journal.frame(Frame(tick, False, lives(tick), (), rows, b""))
+        journal.frame(Frame(tick, False, lives(tick), (), rows))
     fates: list[Fate] = []
     for k in range(0, min(until + 1, scenario.ticks), scenario.round_ticks):
-        journal.links(LinkReport(k, False, False, tuple(fates), b""))
+        journal.links(LinkReport(k, False, False, tuple(fates)))
         links = [link for link in sorted(scenario.graph.links) if heard(link, k)]
         fates = [Fate(k + 1, *link, k, 0, k, k + 1, 0, "delivered", False, b"") for link in links]
     if until == scenario.ticks:
-        journal.links(LinkReport(scenario.ticks, True, False, tuple(fates), b""))
+        journal.links(LinkReport(scenario.ticks, True, False, tuple(fates)))
     return journal
 
 

@@ -130,7 +130,7 @@ def test_a_protocol_is_checked_runs_and_passes_as_it_is(
     assert (checked.exit_code, checked.stderr) == (0, ""), checked.output
     if name != "gossip":
         return
-    quick = ["log.every=10 ticks", "log.snapshot=15 s"]
+    quick = ["log.every=10 ticks"]
     result = execute(load_scenario(f"{name}.yaml", quick), Options(tmp_path, in_process=True, quiet=True))
     assert result.status is Status.PASS, result.checks
     assert {"GossipCheck", "one-answer", "all-are-back"} <= {verdict.check for verdict in result.checks}

@@ -20,7 +20,6 @@ OVERRIDES = [
     "vehicles=14",
     "duration=3 s",
     "checks={}",
-    "log.snapshot=0 s",
     "network.links={'*': 'delay 100ms', '4->5': 'loss 50%'}",
     "faults=[{at: 1 s, down: '8->9'}, {at: 1 s, kill: 3}]",
 ]

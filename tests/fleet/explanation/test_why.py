@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import nullcontext
+from itertools import cycle
 from pathlib import Path
 from shutil import copytree
 from typing import Any
@@ -23,15 +24,19 @@ from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.explanation.evidence import first_older
-from fleet.explanation.no_return import HealingSearch, healed, remake, with_moments
+from fleet.explanation.no_return import HealingSearch, healed, remake
 from fleet.explanation.picture import _lanes
 from fleet.explanation.why import Explanation, Question, Why, lines
 from fleet.logs.open_log import Log, open_log
 from fleet.logs.topic_names import link_topic
 from fleet.pictures.style import panels
 from fleet.repeat.resume import continuation
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.loading import parse_scenario
+from fleet.study.engine import local_engine
 from fleet.study.modules import NO_MODULES
+from fleet.study.one_run import Task, make_run
+from fleet.study.row import CheckRow
+from fleet.study.shrink import tree_of
 
 LONGER = SMALL.replace("duration: 1 s", "duration: 2 s\ntick: 50 ms")
 PUSH = "faults: [{at: 300 ms, for: 1500 ms, id: push, wrench: {vehicles: 1, force: -40 0 0 N}}]\n"
@@ -95,7 +100,7 @@ def test_a_partition(tmp_path: Path) -> None:
 
 def test_a_run_that_goes_on_from_another_with_another_controller(tmp_path: Path) -> None:
     check = "checks={formation_error: {below: 50 m, after: 2 s}}"
-    first = recorded(tmp_path, "rough-sea", "duration=3 s", "log.snapshot=1 s", check)
+    first = recorded(tmp_path, "rough-sea", "duration=3 s", check)
     scenario, start = continuation(first, 1_000_000_000, ["controller=boc", "checks.formation_error.below=1 cm"])
     result = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
     assert result.directory is not None
@@ -227,7 +232,6 @@ def test_a_drift(tmp_path: Path) -> None:
     assert fifth.off_m is not None
     assert fifth.signals["error.formation_norm"] == pytest.approx(fifth.off_m, rel=0.1)  # it is off by what it is wrong
     assert (why.no_return.passes_s, why.no_return.fails_s) == (104.0, 106.0)
-    assert all(one.from_snapshot for one in why.no_return.tried[1:])
 
 
 def test_a_push(why: Why, small_log: Path) -> None:
@@ -241,24 +245,38 @@ def test_a_push(why: Why, small_log: Path) -> None:
     assert 0.3 <= found.passes_s < found.fails_s <= why.at_s
 
 
-def test_from_a_snapshot_or_from_the_start_is_the_same(small_log: Path) -> None:
-    """A run from a snapshot on is that from the start, so both find the same moment."""
-    scenario = with_moments(load_scenario(str(small_log / "scenario.yaml")))
-    remade = remake(scenario, lambda share: None)
-    found = []
-    for over_time in (True, False):
-        search = HealingSearch(remade, "formation_error", Here(), lambda doing, runs: None)
-        search._over_time = over_time
-        found.append(search.run(24))
-    assert [(one.at_s, one.passed) for one in found[0].tried] == [(one.at_s, one.passed) for one in found[1].tried]
-    assert {one.from_snapshot for one in found[1].tried} == {False}
-    assert any(one.from_snapshot for one in found[0].tried)
-
-
 @pytest.mark.parametrize("backwards", [False, True])
 def test_whoever_makes_the_runs(small_log: Path, why: Why, backwards: bool) -> None:
     explanation = Explanation(Question(small_log, None, 24), lambda doing, runs: None)
     assert explanation.find(Here(backwards=backwards), NO_MODULES) == why
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        "{at: 300 ms, for: 1500 ms, wrench: {vehicles: 1, force: -40 0 0 N}}, {at: 1 s, for: 200 ms, mute: 2}",
+        "{at: 400 ms, kill: 1}, {at: 700 ms, for: 300 ms, kill: 1-2}, {at: 1500 ms, kill: 3}",
+        "{at: 300 ms, for: 1 s, pause: 2}, {at: 600 ms, for: 1 s, link 1->2: loss 50 %}",
+        "{at: 300 ms, for: 1 s, hold: 1->2}, {at: 600 ms, for: 1 s, partition: 1 / 2 / 3}, {at: 700 ms, stuck: 3}",
+        "{at: 200 ms, for: 900 ms, freeze: 1}, {at: 300 ms, for: 1 s, slow: {vehicles: 2, by: 7 ticks}}",
+    ],
+)
+def test_a_run_that_is_healed_on_the_way_is_that_of_the_healed_scenario(faults: str) -> None:
+    """To its verdicts and margins, in a copy of a worker, and in this process, which has other threads."""
+    recovery = "checks: {recovery_time: {fault: every, below: 500 ms, within: 10 m}, max_age: {below: 200 ms}, "
+    text = f"{LONGER}faults: [{faults}]\n{recovery}formation_error: {{below: 5 m}}, tumbled: waived}}\n"
+    scenario = parse_scenario(text, "small.yaml")
+    tree, ticks = tree_of(scenario), (4, 12, 18, 26, 34)
+    each = tuple((tick, json.dumps(healed(tree, tick * scenario.tick_ns))) for tick in ticks)
+    asked = Task("on the way", 0, scenario.seed, scenario.name, json.dumps(tree), 60.0, healed=each)
+    alone = [asked._replace(key=str(tick), text=text, healed=()) for tick, text in each]
+    rows = {}
+    with local_engine(1) as engine:
+        engine.make(iter([asked]), lambda more: rows.update({row.key: row for row in more}), lambda: None)
+    for found in (rows["on the way"], make_run(asked)):
+        assert not found.reason
+        expected = [make_run(task) for task in alone]
+        assert [one.checks for one in found.futures] == [one.checks for one in expected]
 
 
 def test_where_passing_has_no_order_that_is_said(small_log: Path) -> None:
@@ -267,8 +285,9 @@ def test_where_passing_has_no_order_that_is_said(small_log: Path) -> None:
     class Unordered(Here):
         def rows(self, task):  # type: ignore[no-untyped-def]
             row = super().rows(task)[0]
-            if row.part is not None:
-                row.part = structs.replace(row.part, best=1.0 if len(self.tasks) % 2 else -1.0)
+            passes = cycle((False, True))
+            for future in row.futures:
+                future.checks["formation_error"] = CheckRow(next(passes))
             return [row]
 
     explanation = Explanation(Question(small_log, None, 24), lambda doing, runs: None)
@@ -323,12 +342,6 @@ def test_what_cannot_be_explained(small_log: Path, tmp_path: Path) -> None:
     check_commands("repeat/what cannot be explained", {"PASSED": passed, "LOG": small_log, "HERE": tmp_path}, "why")
 
 
-def test_a_log_without_snapshots(small_log: Path, why: Why, tmp_path: Path) -> None:
-    """The run that is made again has some."""
-    bare = recorded(tmp_path / "bare", str(small_log / "scenario.yaml"), "log.snapshot=0 s")
-    assert explained(bare).no_return == why.no_return
-
-
 def test_a_run_that_cannot_be_made_again_is_explained_by_its_log(
     small_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -350,9 +363,8 @@ def test_the_words_are_of_the_log(small_log: Path) -> None:
 
 def test_a_fault_that_is_over_changes_nothing_by_its_healing() -> None:
     """Its moments need no run: each is the run itself, which fails."""
-    scenario = with_moments(
-        parse_scenario(LONGER + PUSH.replace("1500 ms", "100 ms").replace("-40", "-600") + TIGHT, "small.yaml")
-    )
+    text = LONGER + PUSH.replace("1500 ms", "100 ms").replace("-40", "-600") + TIGHT
+    scenario = parse_scenario(text, "small.yaml")
     search = HealingSearch(remake(scenario, lambda share: None), "formation_error", Here(), lambda doing, runs: None)
     assert max(one.tick for one in search._moments) * scenario.tick_ns < 400_000_000
 
@@ -366,13 +378,3 @@ def test_of_a_log_that_ends_before_the_check_fails(small_log: Path, tmp_path: Pa
     assert why.at_s < why.failed_s == explained(small_log, most_runs=0).failed_s
     assert f"the log ends at {why.at_s:g} s, before the check fails" in why.notes[0]
     assert f"it failed at {why.failed_s:g} s" in "\n".join(lines(why))
-
-
-def test_an_agent_that_comes_back_by_healing() -> None:
-    """Snapshots after its end have no memory of it, so these runs are made from their start."""
-    text = LONGER + "faults: [{at: 400 ms, kill: 1}]\nchecks: {max_age: {below: 900 ms}, tumbled: waived}\n"
-    scenario = with_moments(parse_scenario(text, "small.yaml"))
-    search = HealingSearch(remake(scenario, lambda share: None), "max_age", Here(), lambda doing, runs: None)
-    found = search.run(24)
-    assert found.passes_s == 1.2  # news of it is older than 900 ms from 1.3 s on
-    assert not any(one.from_snapshot for one in found.tried)

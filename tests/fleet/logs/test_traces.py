@@ -16,7 +16,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.link_conditions import read_trace
 from fleet.scenario.text.yaml_reader import Source, inline, plain, read
 
-COMMON = ["checks={}", "log.snapshot=0 s"]
+COMMON = ["checks={}"]
 EVENTS = (
     "faults=[{at: 500 ms, for: 400 ms, partition: halves}, {at: 1 s, for: 300 ms, slow: {vehicles: 2, by: 5 ticks}}]"
 )

@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
+import subprocess
+import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from repository import ROOT
 from spawned import python
-from worker_items import die_at_once, die_once, hang, known_to_the_worker_alone, masked, sleep, step, unpicklable
+from worker_items import (
+    copied,
+    die_at_once,
+    die_once,
+    hang,
+    known_to_the_worker_alone,
+    masked,
+    sleep,
+    step,
+    step_apart,
+    unpicklable,
+)
 
 from fleet.errors import RunBroken
+from fleet.processes.apart import apart, can_copy
 from fleet.processes.workers import WorkerDied, WorkerLate, Workers
 
 
@@ -61,6 +77,46 @@ def test_an_answer_whose_class_only_the_worker_knows_is_an_error_of_its_item(wor
         with pytest.raises(RuntimeError, match="only_here"):
             future.result()
     assert [future.result() for _, future in workers.each(step, [1])] == [2]
+
+
+def test_a_worker_has_copies_that_change_nothing_in_it(workers: Workers) -> None:
+    """A worker has one thread, so it can be copied."""
+    ((_, future),) = workers.each(copied, [10])
+    assert future.result() == ([11, 12, 13], [10])
+
+
+def test_what_a_copy_raises_and_its_death_are_told(workers: Workers) -> None:
+    found = dict(workers.each(step_apart, [-1, 0, 4]))
+    assert str(found[-1].exception()).startswith("the copy of a run ended without an answer (signal 9)")
+    assert isinstance(found[0].exception(), ZeroDivisionError)
+    assert found[4].result() == 8
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT])
+def test_a_copy_ends_with_the_process_that_it_is_of(ended_by: signal.Signals) -> None:
+    code = "from worker_items import hang_apart; hang_apart()"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests" / "support")])}
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+    ) as parent:
+        assert parent.stdout is not None
+        copy = os.pidfd_open(int(parent.stdout.readline()))
+        parent.send_signal(ended_by)
+        assert select.select([copy], [], [], 60.0)[0] == [copy]  # it has ended
+        os.close(copy)
+
+
+def test_a_process_with_several_threads_is_not_copied() -> None:
+    over = threading.Event()
+    thread = threading.Thread(target=over.wait)
+    thread.start()
+    try:
+        assert not can_copy()
+        with pytest.raises(AssertionError, match="several threads"):
+            apart(int)
+    finally:
+        over.set()
+        thread.join()
 
 
 def test_who_asks_for_no_more_finds_workers_that_are_free(workers: Workers) -> None:

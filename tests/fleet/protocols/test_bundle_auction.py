@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 import pytest
-from protocol_network import ROUND_TICKS, ProtocolNetwork, delivery, line, memory_goes_on, nav, ring, stand_still
+from protocol_network import ROUND_TICKS, ProtocolNetwork, delivery, line, nav, ring, stand_still
 from refusals import check_refusals
 from small_scenario import small
 
@@ -144,10 +144,6 @@ def test_a_possible_lie_is_believed_and_the_places_wait() -> None:
     """Who wins all places at the highest bid and goes nowhere: nothing tells it from an honest one."""
     told = heard(message(bid=1.0))
     assert (told["claimed"], told["target"]) == (0.0, 0.0)
-
-
-def test_its_memory_goes_on() -> None:
-    memory_goes_on(lambda: ProtocolNetwork(agent, ring(4)), 7, 20, 1, 2, 3, 4)
 
 
 def test_parameters_that_make_no_sense_are_refused() -> None:

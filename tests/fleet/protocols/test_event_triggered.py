@@ -83,7 +83,7 @@ def test_what_it_compares_is_what_it_tells_also_where_there_is_roll() -> None:
     (payload,) = agent.transmit(Nav(0, 0, (0.0, 0.0, 5.0, 0.0, 0.0), (0.5, 0.0, 0.3, 0.0, 0.0), (0.5, 0.0)))
     told = decode(payload)
     assert told.velocity[1] < -0.1
-    assert agent.state()["told"] == [0, *told.position, *told.velocity]
+    assert agent._told == (0, (told.position, told.velocity))
 
 
 @given(
@@ -161,20 +161,3 @@ def test_a_neighbour_that_lies_about_its_place_is_followed() -> None:
     one, _ = honest.decide(nav(0), [delivery(state_of(2, 0.0))])
     other, _ = deceived.decide(nav(0), [delivery(state_of(2, 500.0))])
     assert one != other
-
-
-def test_its_memory_goes_on() -> None:
-    """Also that of a new agent, which tells where it is at its first round."""
-    states = straight(60, speed=0.6)
-    plain, first = EventTriggered(config(), silence_s=1.0), EventTriggered(config(), silence_s=1.0)
-    for state in states[:17]:
-        for agent in (plain, first):
-            agent.transmit(state)
-            agent.decide(state, [])
-    resumed = EventTriggered(config(), silence_s=1.0)
-    assert EventTriggered(config()).transmit(states[17])
-    resumed.restore(first.state())
-    for state in states[17:]:
-        assert plain.transmit(state) == resumed.transmit(state)
-        assert plain.decide(state, []) == resumed.decide(state, [])
-    assert plain.state() == resumed.state()

@@ -25,7 +25,6 @@ from fleet.logs.schemas import COMMAND, ERROR, FAULT, PACKET, ROLL, STATE, flat_
 from fleet.recorder import tick_messages
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.snapshot import Snapshot
 from fleet.recorder.transforms import quaternion
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import Scenario
@@ -70,8 +69,6 @@ class Drawn:
             if draw.random() < 0.1:
                 calls.event(Event(tick, "f", draw.choice(["begins", "ends"]), "kill 2"))
             calls.frame(*self.frame(tick))
-            if draw.random() < 0.05:
-                calls.snapshot(Snapshot(tick, {"vehicles": []}, {}, []))
         return calls
 
     def _some(self) -> bool:
@@ -98,7 +95,7 @@ class Drawn:
             rows.append(VehicleFrame(i, self._finite(5), self._finite(5), nav, tau, command, plant, (), (), ()))
             e, formation = self._reals(3), self._reals(3)
             errors[i] = VehicleError(e, abs(e[0]), formation, abs(formation[1]))
-        return Frame(tick, False, (), (), tuple(rows), b""), commands, errors
+        return Frame(tick, False, (), (), tuple(rows)), commands, errors
 
     def _fate(self, tick: int) -> Fate:
         draw = self._draw
@@ -111,7 +108,7 @@ class Drawn:
 
 
 def expected(scenario: Scenario, calls: Calls) -> list[Entry]:
-    """The messages, but for what is drawn and for snapshots, each encoded by itself."""
+    """The messages, but for what is drawn, each encoded by itself."""
     found: list[Entry] = []
     packet, fault = flat_schema("Packet", PACKET).message, flat_schema("Fault", FAULT).message
     for name, arguments in calls.all:
@@ -196,10 +193,10 @@ def test_the_log_of_any_journal_is_the_one_written_message_by_message(
         assert ours.digest == plain.digest == none.digest
         entries = copies[0].entries
         assert ours.messages == none.messages == plain.messages == len(entries)
-    others = ("transforms", "scene", "snapshot")
+    others = ("transforms", "scene")
     assert [entry for entry in entries if entry[0] not in others] == expected(scenario, calls)
     for topic, _, _, _, data in entries:
-        if topic in others[:2]:
+        if topic in others:
             message = {"transforms": FrameTransforms, "scene": SceneUpdate}[topic].FromString(data)
             assert message.SerializeToString() == data
 

@@ -142,7 +142,7 @@ def test_a_cut_log_is_judged_to_where_it_is_whole(folder: Path) -> None:
 
 
 def test_a_run_that_goes_on_is_judged_from_there(folder: Path) -> None:
-    first = run("log.snapshot=500 ms")
+    first = run()
     assert first.directory is not None
     asked = "{name: spread, topic: state.z, below: 99 m, eventually_within: 100 ms}"  # after where it begins
     scenario, start = continuation(first.directory, 1_000_000_000, [f"checks.signal.5={asked}"])

@@ -28,7 +28,7 @@ FAULTS = "faults=[{at: 300 ms, for: 400 ms, kill: 3}, {at: 900 ms, slow: {vehicl
 CASES = {
     "rough": ("paper", ["duration=2.5 s", ROUGH]),
     "faults": ("rough-sea", ["duration=2 s", FAULTS]),
-    "snapshots": ("paper", ["duration=2 s", "log.snapshot=500 ms"]),
+    "snapshots": ("paper", ["duration=2 s"]),
     "thinned": ("paper", ["duration=2 s", "log={every: 10 ticks, command: 1 tick, control: 20 ticks}"]),
     "acoustic": ("acoustic-s2c", ["duration=3 s", "log.command=1 tick"]),
 }

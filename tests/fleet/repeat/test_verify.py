@@ -334,7 +334,7 @@ def test_a_packet_that_is_later_is_the_same_packet(tmp_path: Path) -> None:
 
 
 def test_a_run_and_its_continuation_are_compared_from_where_it_begins(tmp_path: Path) -> None:
-    whole = run(tmp_path, "paper", "duration=2 s", "log.snapshot=500 ms")
+    whole = run(tmp_path, "paper", "duration=2 s")
     for changes, status, words in (
         ([], 0, "the same bit for bit ("),
         (["controller=bsmc"], 1, "they part at message "),

@@ -97,7 +97,7 @@ def test_the_picture(tmp_path: Path) -> None:
 
 
 def test_of_a_run_that_goes_on_from_another_nothing_changed_is_identical(tmp_path: Path) -> None:
-    whole = run(tmp_path, "paper", "duration=3 s", "log.snapshot=1 s", LINKS)
+    whole = run(tmp_path, "paper", "duration=3 s", LINKS)
     for overrides in ([], ["controller=bsmc"]):  # with its memory; without
         scenario, start = continuation(whole, 1_000_000_000, overrides)
         later = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start)).directory

@@ -11,7 +11,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, get_args
 
-import msgpack
 import pytest
 from fault_histories import drive, told, world
 from hypothesis import given
@@ -191,7 +190,7 @@ def test_ledger_balances_under_any_faults_and_state_goes_on(found: list[Any], cu
     }
     first, second = netem(*faults), netem(*faults)
     parts = [f for k in range(0, 10 * cut, 10) for f in first.exchange(k, dict.fromkeys((1, 2, 3), (b"x",))).fates]
-    second.restore(msgpack.unpackb(msgpack.packb(first.state())))
+    second.take_over(first)
     parts += [f for k in range(10 * cut, 70, 10) for f in second.exchange(k, dict.fromkeys((1, 2, 3), (b"x",))).fates]
     assert parts + list(second.close(70)) == fates
 

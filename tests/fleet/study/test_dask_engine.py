@@ -44,7 +44,6 @@ def started(module: str, *options: str, folder: Path | None = None) -> Iterator[
 FAILS = """\
 nemesis: {every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}
 checks: {formation_error: {below: 4.6 m, after: 800 ms}, max_age: {below: 999 ms}, tumbled: waived}
-log: {snapshot: 100 ms}
 """
 OF_MANY_RUNS = [
     ["search", "small.yaml", "--budget", "4", "--force"],

@@ -15,15 +15,22 @@ from fleet.study.row import PartRow
 STEPS = 60
 
 
-def go_on(ask: Ask, until: int, move: Callable[[int, Random], int], most: int, salt: int) -> PartRow:
-    """Steps from where a part begins; the margin is how far below `most` the highest place was, less a half."""
-    step, at = (int(part) for part in (ask.start.state or b"0 0").split())
-    draws, best, places, begin = Random(salt), ask.start.best, [], step
+def go_on(ask: Ask, until: int, move: Callable[[int, Random], int], most: int, *, frozen: bool = False) -> PartRow:
+    """Steps behind the way to where a part begins; the margin is how far below `most` the highest place was, less a
+    half. `frozen`: salts change nothing.
+    """
+    step = at = 0
+    for salt, tick in ask.start.way or ():
+        draws = Random(0 if frozen else salt)
+        while step < tick:
+            step, at = step + 1, move(at, draws)
+    draws, best, begin = Random(0 if frozen else ask.salt), ask.start.best, step
+    places: list[tuple[float, int]] = []
     while step < until:
         step, at = step + 1, move(at, draws)
         if (margin := most - 0.5 - at) < best:
             best = margin
-            places.append((best, f"{step} {at}".encode()))
+            places.append((best, step))
             if ask.level is not None and best <= ask.level:
                 break
     return PartRow(best, places, step - begin)
@@ -35,7 +42,7 @@ def either_way(at: int, draws: Random) -> int:
 
 def walk(asks: Sequence[Ask], height: int, *, frozen: bool = False) -> list[PartRow]:
     """Walks of +1 or -1."""
-    return [go_on(ask, STEPS, either_way, height, 0 if frozen else ask.salt) for ask in asks]
+    return [go_on(ask, STEPS, either_way, height, frozen=frozen) for ask in asks]
 
 
 def known(height: int) -> float:
@@ -59,7 +66,7 @@ def test_it_estimates_what_is_known(height: int, repeats: int) -> None:
 
 def losses(asks: Sequence[Ask], most: int) -> list[PartRow]:
     """Rows of losses in a hundred rounds, of which each is lost with 10 %."""
-    return [go_on(ask, 100, lambda row, draws: row + 1 if draws.random() < 0.1 else 0, most, ask.salt) for ask in asks]
+    return [go_on(ask, 100, lambda row, draws: row + 1 if draws.random() < 0.1 else 0, most) for ask in asks]
 
 
 def in_a_row(most: int) -> float:

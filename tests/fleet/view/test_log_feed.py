@@ -50,7 +50,7 @@ def test_it_shows_what_the_log_says_at_a_time(feed: LogFeed, log: Path) -> None:
 
 def test_what_was_heard_before_a_run_went_on_is_not_known(tmp_path: Path, alone: Alone) -> None:
     """Its age was counted from 0, although something had been heard in the run before."""
-    first = log_of(alone("paper", *SHORT, "log.snapshot=1 s"))
+    first = log_of(alone("paper", *SHORT))
     scenario, start = continuation(first, 2_000_000_000, ["faults=[{at: 2 s, mute: 2}]", "duration=3 s"])
     made = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
     assert made.directory is not None

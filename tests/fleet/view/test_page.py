@@ -120,7 +120,6 @@ def test_a_log_of_a_hundred_vehicles_is_played_and_searched(opened: Any, alone: 
         "vehicles=100",
         "duration=2 s",
         "faults=[{at: 1 s, for: 500 ms, partition: halves}]",
-        "log.snapshot=0 s",
     )
     with served(str(log_of(alone("paper", *settings, "checks={tumbled: waived}")))) as address:
         assert_nobody_gets_in_without_the_token(address)

@@ -170,19 +170,3 @@ def test_faults_change_what_is_believed(kind: str, values: tuple[float, ...]) ->
     assert abs(well[1] - ill[1]).max() > 1e-3
     if kind == "dvl" and values[0] == 1.0:
         assert ill[0].filter.sigma(N) > 1.5 * well[0].filter.sigma(N)  # and it knows
-
-
-def test_a_navigator_goes_on_from_its_plain_values() -> None:
-    """To the last bit, with a fix under way."""
-    setup = config(ALL, replace(USBL, delay_ns=3_000_000_000), start=1.0)
-    whole = Navigator(setup, 1, 1, TICK_NS, course(0))
-    for k in range(115):
-        whole.step(course(k), course(k + 1), (0.0, 0.0, 0.0), (), 0.0)
-    other = Navigator(setup, 1, 1, TICK_NS, course(0))
-    other.restore(115, whole.memory(), course(115))
-    assert whole._fixes.memory()
-    for k in range(115, 200):
-        whole.step(course(k), course(k + 1), (0.0, 0.0, 0.0), (), 0.0)
-        other.step(course(k), course(k + 1), (0.0, 0.0, 0.0), (), 0.0)
-    assert other.memory() == whole.memory()
-    assert other.believed(course(200), ()) == whole.believed(course(200), ())

@@ -6,16 +6,13 @@ from dataclasses import replace
 from math import cos, sin
 from typing import Any
 
-import msgpack
 import pytest
 from loops import world_config
-from marks import slow
 
 from netem.wire.messages import WorldFault
 from world.config import NavNoise, PlantSetup, WorldConfig
 from world.errors import PlantError, PluginError
 from world.plants import fenced_plant
-from world.run_state import RunState
 from world.sea import World
 
 TAU = (3.0, 0.4, -0.6)
@@ -146,48 +143,6 @@ def test_what_cannot_be_used() -> None:
         World(config("Rolling", mass=3.0))
 
 
-@pytest.mark.parametrize("name", ["Rolling", "Counting"])
-def test_it_goes_on_from_what_was_remembered(name: str) -> None:
-    sea = World(config(name, phi0=0.3))
-    drive(sea, 30)
-    memory = msgpack.unpackb(msgpack.packb(sea.memory(2)))
-    other = World(config(name))
-    other.remember(2, memory)
-    assert everything(other) == everything(sea)
-    drive(sea, 30)
-    drive(other, 30)
-    assert everything(other) == everything(sea)
-
-
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        (None, "Forgetful raised LookupError: no memory ("),
-        ("an object", "Forgetful returned from state() <object object>, which a log cannot hold: TypeError: "),
-        *slow(("loop", "Forgetful took longer than its budget of 1000 ms (")),
-    ],
-)
-def test_what_cannot_be_remembered_is_named_and_the_run_goes_on_without_a_snapshot(values: Any, said: str) -> None:
-    state = RunState(config("Forgetful", budget_s=LONG_S if values == "loop" else 0.0, values=values), 1)
-    state.grant(5)
-    drive(state.world, 3)
-    assert state.memory(2, b"") is None
-    ((vehicle, tick, text),) = state.notes
-    assert (vehicle, tick) == (2, 3)
-    assert text.startswith(f"error: {said}")
-    assert "own_plants.py:" in text and text.endswith("no snapshot is logged at this tick")
-    drive(state.world, 1)
-
-
-def test_what_is_remembered_is_not_changed_by_the_steps_after_it() -> None:
-    sea = World(config("Sharing"))
-    drive(sea, 3)
-    memory = sea.memory(2)
-    before = msgpack.packb(memory)
-    drive(sea, 3)
-    assert msgpack.packb(memory) == before
-
-
 def test_a_plant_that_cannot_be_ended_does_not_take_the_result_with_it() -> None:
     sea = World(config("Clinging"))
     drive(sea, 1)
@@ -199,13 +154,14 @@ def test_another_vehicle_begins_with_the_motion_that_was() -> None:
     rolling, plain = World(config(phi0=0.3)), World(world_config())
     drive(rolling, 30)
     drive(plain, 30)
-    heavy = World(config("Weak"))
-    heavy.remember(2, rolling.memory(2))
-    assert (heavy.tick(2), heavy.state(2), heavy.of_plant(2)[:2]) == (30, rolling.state(2), rolling.of_plant(2)[:2])
-    heavy.remember(2, plain.memory(2))
-    assert (heavy.state(2), heavy.of_plant(2)[:2]) == (plain.state(2), (0.0, 0.0))
-    plain.remember(2, rolling.memory(2))
-    assert plain.state(2) == rolling.state(2)
+    was, of_plant, plainly = rolling.state(2), rolling.of_plant(2)[:2], plain.state(2)
+    heavy, heavier, light = World(config("Weak")), World(config("Weak")), World(world_config())
+    heavy.take_over(rolling)
+    assert (heavy.tick(2), heavy.state(2), heavy.of_plant(2)[:2]) == (30, was, of_plant)
+    heavier.take_over(plain)
+    assert (heavier.state(2), heavier.of_plant(2)[:2]) == (plainly, (0.0, 0.0))
+    light.take_over(heavy)
+    assert light.state(2) == was
 
 
 def test_a_state_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -79,27 +79,6 @@ def test_it_begins_where_the_scenario_says_and_again_after_a_while(version: int,
         assert plant.step(first, TAU, CALM, H) == moved
 
 
-@pytest.mark.parametrize("version", [2, 3])
-def test_what_is_inside_is_saved_and_restored_in_another_process(version: int, tmp_path: Path) -> None:
-    path = build(tmp_path / "auv.fmu", version)
-    with fenced(path, signals={"effort": "effort"}) as plant, fenced(path, signals={"effort": "effort"}) as other:
-        advance(plant, 20)
-        memory = plant.memory(20)
-        other.restore(20, memory, (0.0,) * 5, (0.0,) * 5)
-        advance(plant, 5)
-        advance(other, 5)
-        assert (other.state, other.reported) == (plant.state, plant.reported)
-        assert plant.reported[0] == pytest.approx(25 * 2 * H * TAU[0])
-
-
-def test_a_unit_that_cannot_save_its_state_is_not_resumed(tmp_path: Path) -> None:
-    path = build(tmp_path / "auv.fmu", 2, description(2, saves=False))
-    with fenced(path) as plant:
-        advance(plant, 2)
-        with pytest.raises(PlantError, match=r"tick 2: .*cannot save its state .*its run cannot be resumed"):
-            plant.restore(2, plant.memory(20), (0.0,) * 5, (0.0,) * 5)
-
-
 def renamed(**names: tuple[str, str]) -> list[tuple[str, str, str]]:
     """The unit's variables, some with another name and unit."""
     return [(*names.get(name, (name, of)), causality) for name, of, causality in VARIABLES]

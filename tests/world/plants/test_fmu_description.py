@@ -43,7 +43,7 @@ def test_of_fmi_2() -> None:
         + scalar("G", '<Real declaredType="Force" unit="N" max="3.5"/>', "9")
     )
     found = parse(text(variables, before=simulation + units + types))
-    assert (found.version, found.guid, found.model, found.saves) == (2, "g", "m", True)
+    assert (found.version, found.guid, found.model) == (2, "g", "m")
     assert found.units == {
         "kN": BaseUnit((1, 1, -2), False, 1000.0, 0.0),
         "degC": BaseUnit((0, 0, 0), True, 1.0, 273.15),
@@ -76,7 +76,7 @@ def test_of_fmi_3() -> None:
         '<Binary name="b" valueReference="3"><Start value="00"/></Binary>'
     )
     found = parse(text(variables, "3.0", SIMULATION + types))
-    assert (found.version, found.guid, found.saves) == (3, "t", False)
+    assert (found.version, found.guid) == (3, "t")
     first = UnitVariable("F", 1, "Float64", "local", unit="N", largest=2.0)
     assert found.variables["F"] == first
     alias = found.variables["force"]  # a variable of its own name

@@ -71,7 +71,7 @@ export class Bar {
       { ariaLabel: "Rate", class: "fleet-select", onchange: (event) => say({ do: "rate", rate: Number(event.target.value) }) },
       ...RATES.map((value) => make("option", { value, selected: value === 1 }, `${value} x`)),
     );
-    const from = this.button("Go on from here", () => showCommand(this.goOn(), "The run goes on from the last snapshot before this time."), "shows the command");
+    const from = this.button("Go on from here", () => showCommand(this.goOn(), "The run is made again up to this time, and goes on from there."), "shows the command");
     const what = this.button("What if", () => showCommand(this.whatIf(), "Agents hear what they heard, with another controller."), "shows the command");
     return [
       this.pause, rate, make("div", { class: "fleet-line" }, this.marks, this.slider),

@@ -1,9 +1,7 @@
-"""A process of one agent or of several: connects, asks for the configuration, and answers navs."""
+"""Where a process of one agent, or of several, starts: it connects and asks for the configuration."""
 
 from __future__ import annotations
 
-import traceback
-from collections.abc import Iterable
 from pathlib import Path
 from socket import socket
 from time import monotonic, sleep
@@ -11,184 +9,20 @@ from typing import Any
 
 from agents.config import AgentConfig
 from agents.errors import AgentError
+from agents.host_process import HostProcess
 from agents.loop import AgentCore, AgentLoop, RealtimeLoop
 from agents.make_agent import make_agent
-from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, Running, give_up, knock
-from netem.errors import BusError, MalformedMessage, OutOfPlace
+from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, Running, give_up
+from agents.realtime_process import RealtimeAgentProcess
+from netem.errors import BusError
 from netem.vehicle_clock import Clock
-from netem.wire.access import NETEM, WORLD, Credentials, agent_role, host_role
-from netem.wire.bundles import bundles
+from netem.wire.access import Credentials, agent_role, host_role
 from netem.wire.bus import Bus
-from netem.wire.codec import encode, expect
 from netem.wire.keys import Keys
-from netem.wire.messages import (
-    PROTOCOL_VERSION,
-    Bundle,
-    BundlePart,
-    End,
-    Ended,
-    Hello,
-    Inbox,
-    Nav,
-    Receipt,
-    Transmission,
-)
-from netem.wire.queues import Stamped
 from netem.wire.session import quiet_zenoh
 from netem.wire.shell import Shell, end_with_link, read_map
 from netem.wire.vehicle_bus import AgentEnd
 from world.errors import PluginError
-
-# --- host: one process, and one session, for several agents in lockstep
-# Each agent has its own core, loop and life. Their messages come together, and so do their answers, because a fleet of
-# a thousand processes spends its time on waking them.
-
-
-class HostProcess:
-    """Passes what comes in to its agents and publishes what comes out."""
-
-    def __init__(self, bus: Bus, keys: Keys, number: int, agents: Iterable[OneAgent], running: Running) -> None:
-        """Connect; the agents are ready to be asked. `number`: of the host, from 1. `running`: receives the number of
-        the agent that computes.
-        """
-        role = host_role(number)
-        self._bus, self._number, self._running = bus, number, running
-        self._alive = keys.alive(role)
-        self._agents = {agent.vehicle: agent for agent in agents}
-        self._cmd, self._tx, self._note = (bus.publisher(key(role)) for key in (keys.cmd, keys.tx, keys.note))
-        self._key = keys.host(number)
-        # Navs and inboxes come in one channel: of two, the one that is not looked at could hold back the other.
-        self._in = bus.channel(self._key, capacity=max(64, 3 * len(self._agents)))
-        self._to_world: list[BundlePart] = []
-        self._to_netem: list[BundlePart] = []
-
-    def get_ready(self) -> None:
-        """Probe until world and netem have both answered, then declare the agents ready. Raises BusError if one of them
-        does not answer.
-        """
-        probe = encode(Hello("host", self._number, 0, PROTOCOL_VERSION, False))
-        knock(probe, {WORLD: self._cmd, NETEM: self._tx}, self._heard)
-        ready = [
-            BundlePart(i, encode(Hello("agent", i, agent.loop.incarnation, PROTOCOL_VERSION, True)))
-            for i, agent in self._agents.items()
-        ]
-        for data in bundles(ready):
-            self._cmd(data)
-        self._bus.token(self._alive)
-
-    def _heard(self, _: list[str]) -> list[str]:
-        heard = []
-        while (item := self._in.poll()) is not None:
-            message = expect(item[1], Hello)
-            assert isinstance(message, Hello)
-            heard.append(message.role)
-        return heard
-
-    def serve(self) -> None:
-        """Answer one bundle after the other, until the process is ended."""
-        take, poll, running = self._in.get, self._in.poll, self._running
-        while True:
-            item: tuple[str, bytes] | None = take()
-            while item is not None:  # what is there already is answered together
-                message = expect(item[1], Bundle, Hello)
-                if isinstance(message, Bundle):  # else a late echo of a repeated probe
-                    for part in message.parts:
-                        self._pass(part)
-                item = poll()
-            running.at(0)
-            self._publish()
-
-    def _publish(self) -> None:
-        for parts, put in ((self._to_netem, self._tx), (self._to_world, self._cmd)):
-            if parts:
-                for data in bundles(parts):
-                    put(data)
-                parts.clear()
-
-    def _pass(self, part: BundlePart) -> None:
-        i = part.vehicle
-        agent = self._agents.get(i)
-        if agent is None:
-            return
-        try:
-            message = expect(part.message, Nav, Inbox, End)
-        except MalformedMessage as error:
-            agent.shell.reject(self._key, agent.loop.tick, error)
-            return
-        if isinstance(message, End):
-            if agent.is_over(message):
-                del self._agents[i]
-            return
-        self._running.at(i)
-        try:
-            answers = agent.take(self._key, message)
-        except SystemExit as ended:
-            self._lose(i, ended.code if isinstance(ended.code, int) else 1)
-        except Exception:
-            traceback.print_exc()
-            self._lose(i, 1)
-        else:
-            for answer in answers:
-                to = self._to_netem if isinstance(answer, (Transmission, Receipt)) else self._to_world
-                to.append(BundlePart(i, encode(answer)))
-
-    def _lose(self, i: int, status: int) -> None:
-        del self._agents[i]
-        self._note(encode(Ended(i, status)))
-
-
-class RealtimeAgentProcess(AgentProcess):
-    """An agent on a wall clock: answers the newest nav that is there, and ends as `AgentProcess` does."""
-
-    def __init__(self, bus: Bus, keys: Keys, vehicle: int, loop: RealtimeLoop) -> None:
-        super().__init__(bus, keys, vehicle, loop)
-        self._realtime = loop
-        self._noted_flood = False
-
-    def _listen(self, bus: Bus, key: str) -> Stamped:
-        self._stamped = bus.stamped(key)
-        return self._stamped
-
-    def serve(self) -> End:
-        """Answer navs until the world ends this life. If the console started this process, it ends it instead."""
-        poll = self._navs.poll
-        while True:
-            item: tuple[str, bytes] | None = self._navs.get()
-            navs = []
-            while item is not None:
-                message = self._read(*item)
-                if isinstance(message, End) and self._agent.is_over(message):
-                    return message
-                if isinstance(message, Nav):
-                    navs.append(message)
-                item = poll()
-            while (came := self._stamped.poll()) is not None:
-                key, data, at_ns = came
-                message = self._read(key, data)
-                if isinstance(message, Inbox):
-                    self._take(key, message, at_ns)
-            if self._stamped.flooded and not self._noted_flood:
-                self._noted_flood = True
-                self._agent.shell.note(
-                    self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped"
-                )
-            for nav in self._realtime.to_answer(navs) if navs else ():
-                self._answer(self._keys.nav(self._vehicle), nav)
-
-    def _read(self, key: str, data: bytes) -> Nav | Inbox | End | Hello | None:
-        try:
-            message = expect(data, Nav, Inbox, End, Hello)
-        except MalformedMessage as error:
-            self._agent.shell.reject(key, self._loop.tick, error)
-            return None
-        assert isinstance(message, (Nav, Inbox, End, Hello))
-        return message
-
-    def _take(self, key: str, inbox: Inbox, at_ns: int) -> None:
-        try:
-            self._realtime.arrive(inbox, at_ns)
-        except OutOfPlace as error:
-            self._agent.shell.reject(key, self._loop.tick, error)
 
 
 def run(

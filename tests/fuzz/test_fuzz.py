@@ -52,7 +52,8 @@ from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values, read_faults
 from netem.grammar import parse_condition
 from netem.limits import WIRE_MESSAGE
-from netem.main import NetemProcess, RealtimeNetemProcess
+from netem.process import NetemProcess
+from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.bus import PART_BYTES, Bus
@@ -74,8 +75,8 @@ from netem.wire.messages import (
 from netem.wire.messages import Pace as Begins
 from netem.wire.shell import Item
 from world.lockstep import Lockstep
-from world.main import RealtimeWorldProcess
 from world.process import WorldProcess
+from world.realtime_process import RealtimeWorldProcess
 
 fuzz = settings(
     max_examples=int(os.environ.get("FUZZ_EXAMPLES", settings.default.max_examples)),

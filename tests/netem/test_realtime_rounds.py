@@ -16,7 +16,7 @@ from realtime import PERIOD_NS, SHORT
 from fleet.scenario.loading import load_scenario
 from netem.errors import OutOfPlace
 from netem.histogram import Histogram
-from netem.main import RealtimeNetemProcess
+from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys

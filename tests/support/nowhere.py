@@ -10,7 +10,7 @@ import pytest
 
 from netem.errors import BusError
 from netem.limits import WIRE_MESSAGE
-from netem.main import NetworkProcess
+from netem.process import NetworkProcess
 from world.process import WorldProcess
 
 

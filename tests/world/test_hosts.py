@@ -9,7 +9,7 @@ from nowhere import Nowhere, serve
 
 import world.process
 from fleet.scenario.loading import load_scenario
-from netem.main import NetemProcess
+from netem.process import NetemProcess
 from netem.rounds import Rounds
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys

@@ -9,12 +9,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import click
+from typing import TYPE_CHECKING, Annotated
 
 from fleet.cli.types import FILE
 from fleet.errors import FleetError
+from fleet.option import Option
 
 if TYPE_CHECKING:
     from fleet.result.result import Result
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from fleet.study.search import Searched
     from fleet.study.store import Store
 
-JUNIT = click.option("--junit", type=FILE, help="Also write the result as a JUnit file, for CI services.")
+Junit = Annotated[Path | None, FILE, Option("Also write the result as a JUnit file, for CI services.")]
 
 
 _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

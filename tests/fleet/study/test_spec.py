@@ -7,7 +7,6 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-import click
 import msgspec
 import pytest
 from click.testing import CliRunner
@@ -15,13 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fleet
-from fleet.cli.study_options import Asked, spec_options
+from fleet.cli.declare import command
+from fleet.cli.study_options import given_values
 from fleet.errors import printable
+from fleet.option import fields
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.text.yaml_reader import Source, yaml_text
 from fleet.study.given import BoundaryKeywords, SweepKeywords, keywords, seeds_text, set_values
 from fleet.study.plan import plan_of
-from fleet.study.spec import BoundarySpec, Spec, StudySpec, fields
+from fleet.study.spec import BoundarySpec, Spec, StudySpec
 from fleet.study.study_file import is_file, parse_study, study_yaml
 from fleet.study.values import axis
 
@@ -163,12 +164,11 @@ def typed(spec: Spec, args: list[str]) -> dict[str, Any]:
     """What a command gets that has the options of a spec."""
     found: dict[str, Any] = {}
 
-    @click.command()
-    @spec_options(spec)
-    def command(asked: Asked[Any]) -> None:
-        found.update(asked.values)
+    def verb(scenario: str, *, asked: Any) -> None:
+        found.update(given_values(asked))
 
-    result = CliRunner().invoke(command, args, catch_exceptions=False)
+    verb.__annotations__["asked"] = spec
+    result = CliRunner().invoke(command()(verb), ["paper", *args], catch_exceptions=False)
     assert result.exit_code == 0, result.stderr
     return found
 

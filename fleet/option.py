@@ -32,6 +32,9 @@ class Kind(Enum):
     ALONG = "KEY=LOW..HIGH"
     VALUE = "KEY=VALUE"
     MEASURE = "NAME"
+    CHECK = "CHECK"
+    CONDITION = "'LINKS CONDITION'"
+    FAULT = "'at TIME ...'"
     UNTIL = "'pass ±5 %'"
 
 
@@ -53,13 +56,7 @@ class Limits(NamedTuple):
     le: int | None = None
 
 
-class Needed(Enum):
-    """The default of a field that has none."""
-
-    NEEDED = None
-
-
-NEEDED = Needed.NEEDED
+NEEDED: Any = object()  # the default of a field that has none
 
 
 class Field(NamedTuple):

@@ -18,17 +18,18 @@ from functools import wraps
 from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import click
 
 from fleet.cli.documents.output import JSON
 from fleet.cli.types import PACE, PATH, SECONDS, SHARE, SPEED, TIME, Effect, Fallback, Whole, is_given
-from fleet.option import NEEDED, Field, Kind, Needed, declared, fields, holds_fields
+from fleet.option import NEEDED, Field, Kind, declared, fields, holds_fields
 
 if TYPE_CHECKING:
     import msgspec
 
+T = TypeVar("T")
 _LAST = {"--json": 1, "--quiet": 2}  # in each help
 _READERS: dict[tuple[Kind, Any], click.ParamType[Any]] = {
     (Kind.TEXT, str): click.STRING,
@@ -55,7 +56,7 @@ class DeclaredCommand(click.Command):
 
 
 class _Taken(NamedTuple):
-    """A parameter of a function: the fields that it is made of, and the struct of several."""
+    """A parameter of a function: the fields that it is made of, and the struct, if it is one."""
 
     name: str
     fields: tuple[Field, ...]
@@ -66,7 +67,7 @@ class _Taken(NamedTuple):
         found = {each.name: _built(each, given[each.name]) for each in self.fields if each.name in given}
         if self.struct is not None:
             return {self.name: self.struct(**found)}
-        fallback = next((each for each in self.fields[0].about if isinstance(each, Fallback)), None)
+        fallback = _first(self.fields[0], Fallback)
         return found if found or fallback is None else {self.name: fallback.find()}
 
 
@@ -119,7 +120,7 @@ def _taken(parameter: Parameter) -> _Taken:
 
 
 def _argument(field: Field) -> click.Argument:
-    needed = field.default is NEEDED and not any(isinstance(each, Fallback) for each in field.about)
+    needed = field.default is NEEDED and _first(field, Fallback) is None
     return click.Argument(
         [field.name], type=_type(field), nargs=-1 if _is_several(field) else 1, required=needed,
         metavar=field.option.metavar, help=field.option.help or None, shell_complete=_completion(field),
@@ -128,64 +129,63 @@ def _argument(field: Field) -> click.Argument:
 
 def _option(field: Field) -> click.Option:
     assert field.flag is not None, field.name
-    flags, effects = field.flag.split(), [each for each in field.about if isinstance(each, Effect)]
+    words, effects = [*field.flag.split(), field.name], [each for each in field.about if isinstance(each, Effect)]
 
     def act(context: click.Context, _: click.Parameter, value: Any) -> Any:
         for effect in effects if value else ():
             effect.act(context)
         return value
 
-    about: dict[str, Any] = {"help": field.option.help, "metavar": field.option.metavar or field.kind.value}
-    if effects:
-        about["callback"] = act
-    if field.shape is bool and "/" in field.flag:
-        return click.Option([*flags, field.name], default=None, **about)
+    about: dict[str, Any] = {"help": field.option.help, "callback": act if effects else None}
     if field.shape is bool:
-        return click.Option([*flags, field.name], is_flag=True, **about)
+        return click.Option(words, is_flag=True, **about)
     if field.option.alone is not None:
         about |= {"is_flag": False, "flag_value": field.option.alone}
-    kind = _type(field)
-    about |= {"type": kind, "multiple": _is_several(field), "required": field.default is NEEDED}
-    return _Option([*flags, field.name], text=_text(kind, field.default), shell_complete=_completion(field), **about)
+    return ShownOption(
+        words, field=field, type=_type(field), multiple=_is_several(field), required=field.default is NEEDED,
+        metavar=field.option.metavar or field.kind.value, shell_complete=_completion(field), **about,
+    )  # fmt: skip
 
 
-class _Option(click.Option):
-    """An option whose default the function knows; the help shows its text."""
+class ShownOption(click.Option):
+    """An option with a value, whose default its function knows."""
 
-    def __init__(self, *words: Any, text: str, **about: Any) -> None:
+    def __init__(self, *words: Any, field: Field, **about: Any) -> None:
         super().__init__(*words, **about)
-        self._text = text
+        self.field = field
+
+    @property
+    def shown(self) -> str:
+        """The default as one types it, for the help; empty: there is none."""
+        default = self.field.default
+        if default is NEEDED:
+            return ""
+        return ", ".join(map(self._text, default)) if self.multiple else self._text(default)
+
+    def _text(self, value: Any) -> str:
+        if (write := getattr(self.type, "write", None)) is not None:
+            return str(write(value))
+        return "" if value is None else str(value.value if isinstance(value, Enum) else value)
 
     def get_help_extra(self, ctx: click.Context) -> Any:
+        """What stands in brackets in the help."""
         extra = super().get_help_extra(ctx)
-        return {**extra, "default": self._text} if self._text else extra
-
-
-def _text(kind: click.ParamType[Any], default: Any) -> str:
-    """A default as one types it; empty: there is none."""
-    if (write := getattr(kind, "write", None)) is not None and default is not NEEDED:
-        return str(write(default))
-    match default:
-        case None | Needed():
-            return ""
-        case Enum():
-            return str(default.value)
-        case tuple() | list() | dict():
-            return ", ".join(map(str, default))
-    return str(default)
+        return {**extra, "default": self.shown} if self.shown else extra
 
 
 def _is_several(field: Field) -> bool:
-    return field.shape is dict or (field.shape in (list, tuple) and _given_type(field.about) is None)
+    """Whether it is given once for each of its values. A type that stands beside the field reads all at once."""
+    return field.shape in (dict, list, tuple) and _first(field, click.ParamType) is None
 
 
-def _given_type(about: tuple[Any, ...]) -> click.ParamType[Any] | None:
-    return next((each for each in about if isinstance(each, click.ParamType)), None)
+def _first(field: Field, kind: type[T]) -> T | None:
+    return next((each for each in field.about if isinstance(each, kind)), None)
 
 
 def _type(field: Field) -> click.ParamType[Any]:
     """What reads one value of a field."""
-    if (given := _given_type(field.about)) is not None:
+    given: click.ParamType[Any] | None = _first(field, click.ParamType)
+    if given is not None:
         return given
     if field.shape is dict:
         return click.STRING

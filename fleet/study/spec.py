@@ -26,15 +26,17 @@ LARGEST_SEED = 2**63 - 1
 Time = Annotated[str, Kind.TIME]
 Seeds = Annotated[str, Kind.SEEDS]
 Values = Annotated[dict[str, str], Kind.VALUES]
-Check = Annotated[str, Option("The check that says whether a run passed; by default all of them do.", "NAME")]
+Check = Annotated[
+    str, Kind.CHECK, Option("The check that says whether a run passed; by default all of them do.", "NAME")
+]
 Set = Annotated[dict[str, str], Kind.VALUE, Option(
     "Override one scenario key in every run, e.g. network.period='200 ms'; {key} stands for what varies.")]  # fmt: skip
-Net = Annotated[list[str], Option(
+Net = Annotated[list[str], Kind.CONDITION, Option(
     "Impair links from the start of every run, e.g. '1->2 loss 30%'; repeatable; the last one for a link wins; "
-    "{key} stands for what varies.", "'LINKS CONDITION'")]  # fmt: skip
-Fault = Annotated[list[str], Option(
+    "{key} stands for what varies.")]  # fmt: skip
+Fault = Annotated[list[str], Kind.FAULT, Option(
     "Add a fault to every run in the words of fleet inject, e.g. 'at 20s for 10s partition halves'; repeatable; "
-    "{key} stands for what varies.", "'at TIME ...'")]  # fmt: skip
+    "{key} stands for what varies.")]  # fmt: skip
 Timeout = Annotated[Time, Option("The longest wall time of one run, e.g. '5 min'.", later=True)]
 
 

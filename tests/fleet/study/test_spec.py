@@ -7,6 +7,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+import click
 import msgspec
 import pytest
 from click.testing import CliRunner
@@ -160,15 +161,20 @@ BOUNDARY: dict[str, tuple[list[str], None, Any, Any]] = {
 }
 
 
-def typed(spec: Spec, args: list[str]) -> dict[str, Any]:
-    """What a command gets that has the options of a spec."""
-    found: dict[str, Any] = {}
+def verb_of(spec: Spec, found: dict[str, Any]) -> click.Command:
+    """A command that has the options of a spec, and writes down what was given."""
 
     def verb(scenario: str, *, asked: Any) -> None:
         found.update(given_values(asked))
 
     verb.__annotations__["asked"] = spec
-    result = CliRunner().invoke(command()(verb), ["paper", *args], catch_exceptions=False)
+    return command()(verb)
+
+
+def typed(spec: Spec, args: list[str]) -> dict[str, Any]:
+    """What a command gets that has the options of a spec."""
+    found: dict[str, Any] = {}
+    result = CliRunner().invoke(verb_of(spec, found), ["paper", *args], catch_exceptions=False)
     assert result.exit_code == 0, result.stderr
     return found
 
@@ -189,6 +195,14 @@ def test_each_option_is_the_same_on_the_command_line_in_a_file_in_python_and_in_
         assert name in signature(fleet.boundary).parameters
         assert keywords(BoundarySpec, {name: in_python}) == {name: kept}
         assert name == "seeds" or typed(BoundarySpec, args) == {name: kept}
+
+
+@pytest.mark.parametrize("name", [name for name, (args, *_) in SWEEP.items() if name not in ("zip", "vary", "set")])
+def test_a_text_that_a_terminal_would_obey_is_refused_on_the_command_line(name: str) -> None:
+    """It would be shown on terminals. The texts of `set` and `vary` are read with their keys, when the study begins."""
+    args, *_ = SWEEP[name]
+    result = CliRunner().invoke(verb_of(StudySpec, {}), ["paper", args[0], f"{args[1]}\x1b[2J"])
+    assert result.exit_code == 2
 
 
 def test_a_keyword_that_says_nothing_changes_nothing_and_each_is_explained() -> None:

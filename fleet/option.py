@@ -59,7 +59,7 @@ class Limits(NamedTuple):
 NEEDED: Any = object()  # the default of a field that has none
 
 
-class Field(NamedTuple):
+class OptionField(NamedTuple):
     """A field, or a parameter, with its `Option`."""
 
     name: str
@@ -83,10 +83,10 @@ class Field(NamedTuple):
         return self.option.keyword or (f"{self.name}_s" if self.kind is Kind.TIME else self.name)
 
 
-def declared(name: str, annotation: Any, default: Any = NEEDED) -> Field:
+def declared(name: str, annotation: Any, default: Any = NEEDED) -> OptionField:
     """A field as its annotation declares it."""
     shape, about = unwrapped(annotation)
-    return Field(
+    return OptionField(
         name,
         get_origin(shape) or shape,
         next((each for each in about if isinstance(each, Kind)), Kind.TEXT),
@@ -99,7 +99,7 @@ def declared(name: str, annotation: Any, default: Any = NEEDED) -> Field:
     )
 
 
-def fields(kind: type) -> dict[str, Field]:
+def fields(kind: type) -> dict[str, OptionField]:
     """The fields of a dataclass or a struct that have an `Option`. One that only the type checker can read has none."""
     found = {}
     for owner in reversed(kind.__mro__):

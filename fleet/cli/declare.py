@@ -24,7 +24,7 @@ import click
 
 from fleet.cli.documents.output import JSON
 from fleet.cli.types import PACE, PATH, SECONDS, SHARE, SPEED, TIME, Effect, Fallback, Whole, is_given
-from fleet.option import NEEDED, Field, Kind, declared, fields, holds_fields
+from fleet.option import NEEDED, Kind, OptionField, declared, fields, holds_fields
 
 if TYPE_CHECKING:
     import msgspec
@@ -59,7 +59,7 @@ class _Taken(NamedTuple):
     """A parameter of a function: the fields that it is made of, and the struct, if it is one."""
 
     name: str
-    fields: tuple[Field, ...]
+    fields: tuple[OptionField, ...]
     struct: Callable[..., Any] | None
 
     def value(self, given: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -119,7 +119,7 @@ def _taken(parameter: Parameter) -> _Taken:
     return _Taken(parameter.name, (declared(parameter.name, kind, default),), None)
 
 
-def _argument(field: Field) -> click.Argument:
+def _argument(field: OptionField) -> click.Argument:
     needed = field.default is NEEDED and _first(field, Fallback) is None
     return click.Argument(
         [field.name], type=_type(field), nargs=-1 if _is_several(field) else 1, required=needed,
@@ -127,7 +127,7 @@ def _argument(field: Field) -> click.Argument:
     )  # fmt: skip
 
 
-def _option(field: Field) -> click.Option:
+def _option(field: OptionField) -> click.Option:
     assert field.flag is not None, field.name
     words, effects = [*field.flag.split(), field.name], [each for each in field.about if isinstance(each, Effect)]
 
@@ -150,7 +150,7 @@ def _option(field: Field) -> click.Option:
 class ShownOption(click.Option):
     """An option with a value, whose default its function knows."""
 
-    def __init__(self, *words: Any, field: Field, **about: Any) -> None:
+    def __init__(self, *words: Any, field: OptionField, **about: Any) -> None:
         super().__init__(*words, **about)
         self.field = field
 
@@ -173,16 +173,16 @@ class ShownOption(click.Option):
         return {**extra, "default": self.shown} if self.shown else extra
 
 
-def _is_several(field: Field) -> bool:
+def _is_several(field: OptionField) -> bool:
     """Whether it is given once for each of its values. A type that stands beside the field reads all at once."""
     return field.shape in (dict, list, tuple) and _first(field, click.ParamType) is None
 
 
-def _first(field: Field, kind: type[T]) -> T | None:
+def _first(field: OptionField, kind: type[T]) -> T | None:
     return next((each for each in field.about if isinstance(each, kind)), None)
 
 
-def _type(field: Field) -> click.ParamType[Any]:
+def _type(field: OptionField) -> click.ParamType[Any]:
     """What reads one value of a field."""
     given: click.ParamType[Any] | None = _first(field, click.ParamType)
     if given is not None:
@@ -215,7 +215,7 @@ class _Member(click.Choice[str]):
 class _Checked(click.ParamType[str]):
     """A text of a study, checked as in a file."""
 
-    def __init__(self, field: Field) -> None:
+    def __init__(self, field: OptionField) -> None:
         self.name, self._field = field.name, field
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
@@ -228,7 +228,7 @@ class _Checked(click.ParamType[str]):
             self.fail(str(error), param, ctx)
 
 
-def _built(field: Field, value: Any) -> Any:
+def _built(field: OptionField, value: Any) -> Any:
     """A value as the field holds it. Raises StudyError: a text has no key, or a key is there twice."""
     if field.shape is dict:
         from fleet.study.given import set_values, varied
@@ -237,6 +237,6 @@ def _built(field: Field, value: Any) -> Any:
     return list(value) if field.shape is list else value
 
 
-def _completion(field: Field) -> Any:
+def _completion(field: OptionField) -> Any:
     kinds = (click.ParamType, Effect, Fallback)
     return next((each for each in field.about if callable(each) and not isinstance(each, kinds)), None)

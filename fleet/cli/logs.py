@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
-from click.core import ParameterSource
 
 from fleet.cli import completion
 from fleet.cli.declare import command
@@ -26,6 +25,7 @@ from fleet.cli.types import (
     PictureWords,
     Whole,
     Words,
+    is_given,
 )
 from fleet.errors import FleetError
 from fleet.option import Option
@@ -40,8 +40,8 @@ KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "tim
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written
-_OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "window")}
-_OF_STUDIES = {"measures": "--measure"}
+_OF_LOGS = ("what", "compare", "vehicles", "window")
+_OF_STUDIES = ("measures",)
 
 
 Vehicles = Annotated[tuple[int, ...] | None, VEHICLES, Option("Only these, e.g. 1,3-5.")]
@@ -178,10 +178,6 @@ def export(
       fleet export studies/rough-sea-20261122-101500 --csv tables
       fleet export --scenario > again.yaml && fleet run again.yaml
     """
-    from fleet.logs.dataset import fits
-    from fleet.logs.export import export as write
-    from fleet.logs.open_log import Opening
-
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
     if scenario:
@@ -193,7 +189,7 @@ def export(
         forms = "--csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
         raise click.UsageError(f"no folder for the tables: give {forms}; or --scenario")
     if is_study(log):
-        check_options(log, {name: f"--{name}" for name in ("netcdf", "traces", "ros2", "topics", "exclude")}, "logs")
+        check_options(log, ("netcdf", "traces", "ros2", "topics", "exclude"), "logs")
         for form, folder in tables:
             click.echo(export_study(log, folder, form, force=force))
         return
@@ -209,8 +205,17 @@ def export(
         _export_traces(log, traces, (topics, exclude, sequence, period), force=force)
     if ros2 is not None:
         _export_bag(log, ros2)
-    if not tables:
-        return
+    if tables:
+        _export_tables(log, tables, topics, exclude, force=force)
+
+
+def _export_tables(
+    log: Path, tables: Sequence[tuple[str, Path]], topics: tuple[str, ...], exclude: tuple[str, ...], *, force: bool
+) -> None:
+    from fleet.logs.dataset import fits
+    from fleet.logs.export import export as write
+    from fleet.logs.open_log import Opening
+
     with showing(f"reading {log}") as tell:
         found = Opening(log, topics or None, tell, exclude, hold_all=False).read()
     if topics and not len(found):
@@ -484,10 +489,10 @@ def is_study(path: Path) -> bool:
     return (path / "study.json").is_file()
 
 
-def check_options(subject: Path, options: Mapping[str, str], only_for: str) -> None:
+def check_options(subject: Path, names: Collection[str], only_for: str) -> None:
     """Refuse options that were given, by their parameters, if they are for what the subject is not: UsageError."""
-    source = click.get_current_context().get_parameter_source
-    given = [option for name, option in options.items() if source(name) not in (None, ParameterSource.DEFAULT)]
+    options = click.get_current_context().command.params
+    given = [each.opts[-1] for each in options if each.name in names and is_given(each.name)]
     if given:
         raise click.UsageError(f"{', '.join(given)}: only for {only_for}; {subject} is none")
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypedDict, TypeVar
 
 from fleet.errors import printable
 from fleet.execution.stepped_run import override_texts
-from fleet.option import Field, Kind, fields
+from fleet.option import Kind, OptionField, fields
 from fleet.quantities import QuantityError, describe_value, show_time, time_ns
 from fleet.scenario.text.yaml_reader import inline
 from fleet.study.errors import StudyError
@@ -28,7 +28,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 _QUOTED = re.compile(r"'([^']*)'")
 
 
-def read(field: Field, value: object, key: str = "") -> Any:
+def read(field: OptionField, value: object, key: str = "") -> Any:
     """Check and convert one value of a field: the whole value, one entry of its list, or the value of one key. `value`:
     a plain value of a file or a script, or a text of the command line. `key`: the key of the value, if the field has
     texts by key. Raises StudyError: the value does not fit the field."""
@@ -133,7 +133,7 @@ def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:
     return given
 
 
-def _of_script(field: Field, value: Any) -> Any:
+def _of_script(field: OptionField, value: Any) -> Any:
     if field.kind is Kind.VALUE:
         value = set_values(override_texts(value))
     if field.kind is Kind.TIME:
@@ -146,7 +146,7 @@ def _of_script(field: Field, value: Any) -> Any:
     return read(field, value)
 
 
-def _by_keyword(spec: Spec) -> dict[str, Field]:
+def _by_keyword(spec: Spec) -> dict[str, OptionField]:
     return {field.keyword: field for field in fields(spec).values() if field.flag is not None}
 
 
@@ -169,7 +169,7 @@ def takes(spec: Spec) -> Callable[[F], F]:
     return describe
 
 
-def _described(field: Field) -> str:
+def _described(field: OptionField) -> str:
     unit = " [s]" if field.kind is Kind.TIME else ""
     default = f" By default {field.default}." if field.default not in ("", [], {}, False) else ""
     return _QUOTED.sub(r"`\1`", field.option.help.removesuffix(".")) + f"{unit}.{default}"

@@ -198,7 +198,9 @@ def _type(field: OptionField) -> click.ParamType[Any]:
         return _Member(field.shape)
     if field.shape is int and field.limits != (None, None):
         return Whole(*field.limits)
-    return _READERS.get((field.kind, field.shape)) or _Checked(field)
+    if field.shape is str and field.kind is not Kind.TEXT:
+        return _Checked(field)
+    return _READERS[field.kind, field.shape]
 
 
 class _Member(click.Choice[str]):

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from fleet.cli.types import FILE, FOLDER, Trust, is_given
-from fleet.option import Limits, Option, fields
+from fleet.cli.types import FILE, FOLDER, Trust, Whole, is_given
+from fleet.option import Option, fields
 from fleet.study.spec import BoundarySpec, StudySpec
 from fleet.terminal.status_line import BAR, StatusLine, bar
 from fleet.terminal.table import Piece, TerminalColumn, say
@@ -28,16 +28,14 @@ StudiesFolder = Annotated[
 LeastFile = Annotated[
     Path | None, FILE, Option("The file for the smallest scenario; by default NAME-least.yaml.", flag="-o --out")
 ]
-Workers = Annotated[int | None, Limits(1, 1024), Option("Runs at a time; by default one per core.", "N")]
-Scheduler = Annotated[str | None, Option("Use an existing Dask cluster, e.g. tls://host:8786.", "ADDRESS")]
 
 
 @dataclass(frozen=True, slots=True)
 class Making:
     """How a command makes its runs, and what it prints: the options of all commands that make many."""
 
-    workers: Workers = None
-    scheduler: Scheduler = None
+    workers: Annotated[int | None, Whole(1, 1024), Option("Runs at a time; by default one per core.", "N")] = None
+    scheduler: Annotated[str | None, Option("Use an existing Dask cluster, e.g. tls://host:8786.", "ADDRESS")] = None
     trust: Trust = False
     quiet: Annotated[bool, Option("No progress.", flag="-q --quiet")] = False
 

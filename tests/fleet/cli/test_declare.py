@@ -15,9 +15,14 @@ from msgspec import Struct
 from repository import ROOT
 
 from fleet.cli.declare import DeclaredCommand, ShownOption, command
+from fleet.cli.hosts import HostsOptions
 from fleet.cli.main import cli
-from fleet.cli.types import TIME, Effect, Fallback, Words
-from fleet.option import NEEDED, Kind, Limits, Option
+from fleet.cli.study_options import Making, MakingStudy
+from fleet.cli.types import TIME, Changes, Effect, Fallback, Words
+from fleet.execution.options import Options
+from fleet.option import NEEDED, Kind, Limits, Option, fields
+from fleet.replay.player import PlaybackOptions
+from fleet.study.spec import BoundarySpec, StudySpec
 from netem.vehicle_clock import Clock
 
 
@@ -72,6 +77,16 @@ def test_a_verb_has_json_exactly_if_it_has_a_document() -> None:
         assert isinstance(verb, DeclaredCommand)
         assert any("--json" in each.opts for each in verb.params) == bool(verb.documents), name
         assert all(words.startswith(name) for words in verb.documents)
+
+
+def test_fields_that_are_no_options_are_known() -> None:
+    """A field whose type only the type checker can read is none, so a lost import would take an option away."""
+    inner = {"on_published", "start", "start_order", "rendezvous", "relay"}
+    assert set(Options.__dataclass_fields__) - set(fields(Options)) == inner
+    for kind in (HostsOptions, PlaybackOptions, Making, MakingStudy, Changes):
+        assert set(kind.__dataclass_fields__) == set(fields(kind))
+    for spec in (StudySpec, BoundarySpec):
+        assert set(spec.__struct_fields__) == set(fields(spec))
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ import click
 import psutil
 
 import fleet
+from fleet.cli.completion import RUNS
 from fleet.cli.declare import command
 from fleet.cores import cores_and_reason, processor
-from fleet.execution.options import RUNS
 from fleet.option import Option
 
 if TYPE_CHECKING:

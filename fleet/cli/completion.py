@@ -15,9 +15,9 @@ import click
 from click.shell_completion import CompletionItem, get_completion_class
 
 from fleet.cli.declare import command
-from fleet.execution.options import RUNS
 
 Words = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+RUNS = Path("runs")  # where `fleet run` puts them
 CLOCK_WORDS = ("pause", "resume", "step", "speed")
 _CONDITIONS = ("delay", "loss", "duplicate", "corrupt", "reorder", "rate", "limit", "down")
 

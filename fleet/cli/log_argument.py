@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from fleet.cli import completion
+from fleet.cli.completion import RUNS
 from fleet.cli.types import Fallback
-from fleet.execution.options import RUNS
 from fleet.option import Option
 
 if TYPE_CHECKING:

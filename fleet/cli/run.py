@@ -19,7 +19,7 @@ from fleet.cli.group import EPILOG
 from fleet.cli.hosts import HostsOptions, rendezvous
 from fleet.cli.junit import Junit
 from fleet.cli.types import Changes, Trust, Whole, is_given, key_options
-from fleet.execution.options import RUNS, OnlyDirectory, Options, RunsFolder
+from fleet.execution.options import OnlyDirectory, Options, RunsFolder
 from fleet.option import Option
 from fleet.terminal.output import OutputError, give_up_output
 from fleet.terminal.status_line import showing, stderr
@@ -233,7 +233,7 @@ def _print_failure(result: Result) -> None:
 def netem(
     stack: Path,
     *,
-    out: RunsFolder = RUNS,
+    out: RunsFolder = Path("runs"),
     seed: Annotated[int | None, SEED, Option("Override the file's seed.")] = None,
     duration: Annotated[str | None, Option(
         "End after this time, e.g. '5 min'; else with Ctrl-C or fleet stop.", "TIME")] = None,

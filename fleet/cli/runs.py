@@ -11,7 +11,6 @@ import click
 from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.types import AGE, Whole, Words
-from fleet.execution.options import RUNS
 from fleet.option import Option
 from fleet.terminal.table import stdout
 
@@ -27,7 +26,7 @@ VERDICTS = ("pass", "fail", "broke", "stopped")
 @command(document="fleet.cli.documents.logs.Runs")
 def ls(
     *,
-    out: Annotated[Path, Option("The folder with run directories.", "DIR", "-o --out")] = RUNS,
+    out: Annotated[Path, Option("The folder with run directories.", "DIR", "-o --out")] = Path("runs"),
     prune: Annotated[bool, Option("Remove runs that are over: those that fit every option below.")] = False,
     keep: Annotated[int | None, Whole(min=0), Option("Keep the newest N of the runs that are over.", "N")] = None,
     older_than: Annotated[float | None, AGE, Option(

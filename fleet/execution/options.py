@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Rendezvous
     from fleet.recorder.snapshot import Start
 
-RUNS = Path("runs")  # below the folder in which one works
 RunsFolder = Annotated[Path, Option("The folder for run directories.", "DIR", "-o --out")]
 OnlyDirectory = Annotated[bool, Option("Print only the run's directory; failures go to stderr.", flag="-q --quiet")]
 
@@ -30,7 +29,7 @@ class Options:
     A field with an `Option` is an option of `fleet run`.
     """
 
-    out: RunsFolder = RUNS
+    out: RunsFolder = Path("runs")
     in_process: Annotated[bool, Option("One process, no zenoh; the same log, byte for byte.")] = False
     clock: Annotated[Clock, Option(
         "real: ticks begin by the wall clock and wait for no agent; the result lists late agents.")] = (

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from fleet.execution.execute import execute
-from fleet.execution.options import RUNS, Options
+from fleet.execution.options import Options
 from fleet.notebook import Pictures, html_table
 from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
@@ -176,7 +176,7 @@ class Study:
         measures = [measure] if isinstance(measure, str) else measure
         return Pictures(plot(self._store, measures, None if out is None else Path(out), words_of(format)))
 
-    def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = RUNS, trust: bool = False) -> Result:
+    def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: bool = False) -> Result:
         """Make one of its runs again with its log; the digest is that of the row.
 
         Args:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import click
 
+from fleet.cli.changes import Changes
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
 from fleet.cli.documents.output import give, json_is_asked, print_document
-from fleet.cli.types import Changes, NoProgress, Trust
+from fleet.cli.types import NoProgress, Trust
 from fleet.option import Option
 from fleet.terminal.status_line import showing, showing_steps
 from fleet.terminal.table import say

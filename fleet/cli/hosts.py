@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from fleet.cli.changes import Overrides
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
 from fleet.cli.group import ListingGroup
-from fleet.cli.types import FILE, FOLDER, Force, Overrides, Whole, time_within
+from fleet.cli.types import FILE, FOLDER, Force, Whole, time_within
 from fleet.errors import FleetError
 from fleet.option import Option
 

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 Junit = Annotated[Path | None, FILE, Option("Also write the result as a JUnit file, for CI services.")]
 
 
-_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# Compiling it takes 6 ms, which `fleet run --help` need not wait for.
+_NOT_XML = r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,4 +131,4 @@ def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
 
 
 def _clean(text: str) -> str:
-    return _NOT_XML.sub("?", text)
+    return re.sub(_NOT_XML, "?", text)

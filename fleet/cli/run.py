@@ -12,13 +12,14 @@ import click
 from fleet.cli import junit as cli_junit
 from fleet.cli import ros2 as cli_ros2
 from fleet.cli import view as cli_view
+from fleet.cli.changes import Changes, key_options
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.hosts import HostsOptions, rendezvous
 from fleet.cli.junit import Junit
-from fleet.cli.types import Changes, Trust, Whole, is_given, key_options
+from fleet.cli.types import Trust, Whole, is_given
 from fleet.execution.options import OnlyDirectory, Options, RunsFolder
 from fleet.option import Option
 from fleet.terminal.output import OutputError, give_up_output

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import click
 
 from fleet.cli import junit as cli_junit
+from fleet.cli.changes import Changes
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
 from fleet.cli.documents.output import give, json_is_asked, print_document
 from fleet.cli.junit import Junit
 from fleet.cli.study_options import LeastFile, Making
-from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Changes, Force, Whole
+from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Force, Whole
 from fleet.errors import printable
 from fleet.option import Option
 from fleet.terminal.status_line import StatusLine

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from fleet.cli.changes import Overrides, key_options
 from fleet.cli.declare import command
 from fleet.cli.documents.output import give, json_is_asked, print_document
 from fleet.cli.log_argument import Log, newest_log
 from fleet.cli.study_options import Making
-from fleet.cli.types import FILE, NoProgress, Overrides, Trust, Whole, key_options
+from fleet.cli.types import FILE, NoProgress, Trust, Whole
 from fleet.option import Option
 from fleet.terminal.status_line import StatusLine, showing, showing_time
 from fleet.terminal.table import Piece, say

@@ -14,11 +14,12 @@ from click.testing import CliRunner
 from msgspec import Struct
 from repository import ROOT
 
+from fleet.cli.changes import Changes
 from fleet.cli.declare import DeclaredCommand, ShownOption, command
 from fleet.cli.hosts import HostsOptions
 from fleet.cli.main import cli
 from fleet.cli.study_options import Making, MakingStudy
-from fleet.cli.types import TIME, Changes, Effect, Fallback, Words
+from fleet.cli.types import TIME, Effect, Fallback, Words
 from fleet.execution.options import Options
 from fleet.option import NEEDED, Kind, Limits, Option, fields
 from fleet.replay.player import PlaybackOptions

@@ -31,7 +31,6 @@ from rich.console import Console as Terminal
 from soak import of_session, result_of
 
 import fleet
-from fleet.cli.types import OVERRIDES
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.scenario.loading import load_scenario
@@ -333,7 +332,7 @@ def show_profile(found: Profiled, terminal: Terminal) -> None:
 @click.argument("scenario")
 @click.option("--duration", metavar="TIME", default="20 s", show_default=True, help="Simulated.")
 @click.option("--in-process", is_flag=True, help="One process, no zenoh.")
-@OVERRIDES
+@click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override one scenario key.")
 @click.option("-o", "--out", metavar="DIR", type=click.Path(path_type=Path, file_okay=False), default=Path("profile"),
               show_default=True, help="Where the flame graphs go.")  # fmt: skip
 def main(scenario: str, duration: str, in_process: bool, overrides: tuple[str, ...], out: Path) -> None:

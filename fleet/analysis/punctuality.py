@@ -14,7 +14,6 @@ from fleet.scenario.schema.checks import PunctualCheck
 from netem.histogram import PER_DECADE
 
 ON_TIME, DEGRADED = "on time", "degraded"
-MOST_MISSED = 0.01  # share of its ticks that an agent may miss by default
 
 
 def measured(values: Mapping[str, Any], speed: float) -> Timing | None:

@@ -12,14 +12,16 @@ import tempfile
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 import psutil
 
 import fleet
 from fleet.cli.completion import RUNS
+from fleet.cli.declare import command
 from fleet.cores import cores_and_reason, processor
+from fleet.option import Option
 
 if TYPE_CHECKING:
     from fleet.result.result import Result
@@ -29,13 +31,15 @@ _VARIABLES = re.compile(r"UUV_|ZENOH_|RUST_LOG|PYTHON|TMPDIR|XDG_RUNTIME_DIR|OMP
 _MOST_CHECKS = 20
 
 
-@click.command()
-@click.argument("words", nargs=-1, metavar="[RUN]",
-                help="A run directory; by default the newest run below runs, if there is one. With --schemas: a "
-                     "command.")  # fmt: skip
-@click.option("--schemas", is_flag=True,
-              help="Print what --json prints: a page about all commands, or the JSON Schema of one.")  # fmt: skip
-def about(words: tuple[str, ...], schemas: bool) -> None:
+@command()
+def about(
+    words: Annotated[tuple[str, ...], Option(
+        "A run directory; by default the newest run below runs, if there is one. With --schemas: a command.",
+        "[RUN]")] = (),
+    *,
+    schemas: Annotated[bool, Option(
+        "Print what --json prints: a page about all commands, or the JSON Schema of one.")] = False,
+) -> None:  # fmt: skip
     """Print everything that a bug report needs: versions, the machine, its limits, and the result of RUN.
 
     It prints names of environment variables without their values, and `~` for your home directory. Read it before you

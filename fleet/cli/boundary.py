@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from fleet.cli.completion import scenarios
+from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
-from fleet.cli.logs import FORMATS
+from fleet.cli.logs import PictureFormats
 from fleet.cli.study_options import (
-    OUT,
-    Asked,
     Making,
+    MakingStudy,
+    StudiesFolder,
     axis_columns,
     cell,
-    making_options,
     progress_pieces,
     show_reached,
-    spec_options,
     study_directory,
 )
-from fleet.cli.types import Words
+from fleet.cli.types import is_given
+from fleet.option import Option
 from fleet.study.spec import BoundarySpec, seconds
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece, TerminalColumn, say, show, stdout
@@ -36,14 +36,15 @@ if TYPE_CHECKING:
 OUTSIDE = ("below", "above")
 
 
-@click.command()
-@click.argument("scenario", metavar="SCENARIO|DIR", shell_complete=scenarios)
-@spec_options(BoundarySpec)
-@OUT
-@click.option("--format", "formats", type=Words(FORMATS), default="png", show_default=True,
-              help="Of the picture: some of png, svg, pdf.")  # fmt: skip
-@making_options("Print only the study's directory; failures go to stderr.")
-def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, formats: tuple[str, ...], how: Making) -> None:
+@command(document="fleet.cli.documents.studies.BoundaryFound")
+def boundary(
+    scenario: Annotated[str, scenarios, Option("", "SCENARIO|DIR")],
+    *,
+    asked: BoundarySpec,
+    out: StudiesFolder = Path("studies"),
+    formats: Annotated[PictureFormats, Option("Of the picture: some of png, svg, pdf.", flag="--format")] = ("png",),
+    how: MakingStudy,
+) -> None:
     """Find where the pass rate of SCENARIO falls through a level, with few runs.
 
     Each run is placed where it tells most about the border, until the 95 % interval is narrow. With the directory of
@@ -79,7 +80,7 @@ def boundary(scenario: str, asked: Asked[BoundarySpec], out: Path, formats: tupl
         click.echo(borders.store.directory)
 
 
-def _opened(name: str, asked: Asked[BoundarySpec]) -> tuple[Borders, Modules, float] | None:
+def _opened(name: str, asked: BoundarySpec) -> tuple[Borders, Modules, float] | None:
     """The study of a directory, the modules that its runs need and the time that a run may take; None: it is none."""
     from fleet.study.borders import Borders
     from fleet.study.store import Store
@@ -90,21 +91,20 @@ def _opened(name: str, asked: Asked[BoundarySpec]) -> tuple[Borders, Modules, fl
     if (directory := study_directory(name, asked)) is None:
         return None
     borders = Borders(Store.open(directory))
-    timeout = asked.spec.timeout if "timeout" in asked.names else borders.record.timeout
+    timeout = asked.timeout if is_given("timeout") else borders.record.timeout
     return borders, modules_again(borders.store), seconds(timeout)
 
 
-def _prepared(name: str, asked: Asked[BoundarySpec], out: Path, how: Making) -> tuple[Borders, Modules, float]:
+def _prepared(name: str, asked: BoundarySpec, out: Path, how: Making) -> tuple[Borders, Modules, float]:
     from fleet.study.borders import Borders, border_plan, prepare_borders
     from fleet.study.study import new_directory
 
-    spec = asked.spec
-    if not spec.along:
+    if not asked.along:
         raise click.UsageError(
             "no key to search along: give --along KEY=LOW..HIGH, such as 'network.links.*.loss=0 %..95 %'"
         )
-    store, modules = prepare_borders(border_plan(name, spec), spec, new_directory(name, out), how.warn)
-    return Borders(store), modules, spec.timeout_s
+    store, modules = prepare_borders(border_plan(name, asked), asked, new_directory(name, out), how.warn)
+    return Borders(store), modules, asked.timeout_s
 
 
 def _run(borders: Borders, modules: Modules, timeout_s: float, how: Making) -> None:

@@ -4,32 +4,37 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import click
 
+from fleet.cli.changes import Changes
 from fleet.cli.completion import scenarios
-from fleet.cli.documents.output import give, json_is_asked, json_option, print_document
-from fleet.cli.types import NO_PROGRESS, OVERRIDES, TRUST, disturbances
+from fleet.cli.declare import command
+from fleet.cli.documents.output import give, json_is_asked, print_document
+from fleet.cli.types import NoProgress, Trust
+from fleet.option import Option
 from fleet.terminal.status_line import showing, showing_steps
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.errors import Problem
     from fleet.scenario.scenario import Scenario
-    from fleet.scenario.text.overrides import Override
 
 _CHECK = "Exit status: 0 valid, or every check of a log passes; 1 one does not; 2 a mistake, or no log of ours."
 
 
-@click.command(epilog=_CHECK)
-@click.argument("scenario", metavar="SCENARIO|LOG", shell_complete=scenarios)
-@OVERRIDES
-@disturbances
-@TRUST
-@json_option
-@NO_PROGRESS
-def check(scenario: str, overrides: tuple[str, ...], fault: tuple[Override, ...], net: tuple[Override, ...]) -> None:
+@command(
+    epilog=_CHECK,
+    document={"check": "fleet.cli.documents.logs.Checked", "check LOG": "fleet.repeat.check_log.JudgedLog"},
+)
+def check(
+    scenario: Annotated[str, scenarios, Option("", "SCENARIO|LOG")],
+    *,
+    changes: Changes,
+    trust: Trust = False,
+    quiet: NoProgress = False,
+) -> None:
     """Check SCENARIO without running it, and report all mistakes at once; or judge LOG by checks.
 
     It then prints what theory predicts: whether the graph is connected and the reference reaches every vehicle, the
@@ -48,16 +53,16 @@ def check(scenario: str, overrides: tuple[str, ...], fault: tuple[Override, ...]
       fleet check runs/latest --set 'checks={signal: {topic: state.z, below: 30 m}}'
     """
     if is_log(scenario):
-        if fault or net:
+        if changes.fault or changes.net:
             raise click.UsageError(f"{scenario} is a log: --net and --fault are for a scenario")
-        _check_log(Path(scenario), overrides)
+        _check_log(Path(scenario), changes.overrides)
     from fleet.analysis.first_sample import try_laws, try_plants
     from fleet.analysis.preflight import warnings
     from fleet.analysis.stability import analyse, report
     from fleet.scenario.loading import load_scenario
 
     refused: list[Problem] = []
-    loaded = load_scenario(scenario, [*overrides, *net, *fault], refused=refused)
+    loaded = load_scenario(scenario, [*changes], refused=refused)
     if loaded.nodes:
         from fleet.stack import lines as of_nodes
 

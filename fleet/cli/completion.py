@@ -9,10 +9,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 from click.shell_completion import CompletionItem, get_completion_class
+
+from fleet.cli.declare import command
 
 Words = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 RUNS = Path("runs")  # where `fleet run` puts them
@@ -163,9 +165,8 @@ def _run(context: click.Context, *named: str) -> Any:
     return find(context.params.get("run") or next(iter(named), None))
 
 
-@click.command(name="completion")
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
-def completion(shell: str) -> None:
+@command()
+def completion(shell: Literal["bash", "zsh", "fish"]) -> None:
     """Print a shell script for completion of commands, scenarios, live runs, links, vehicles and faults.
 
     \b

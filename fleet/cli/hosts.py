@@ -2,66 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from fleet.cli.changes import Overrides
 from fleet.cli.completion import scenarios
+from fleet.cli.declare import command
 from fleet.cli.group import ListingGroup
-from fleet.cli.types import FOLDER, FORCE, OVERRIDES, PATH, Whole, time_within
+from fleet.cli.types import FILE, FOLDER, Force, Whole, time_within
 from fleet.errors import FleetError
+from fleet.option import Option
 
 if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Rendezvous
     from fleet.scenario.scenario import Scenario
 
-F = TypeVar("F", bound=Callable[..., Any])
 # Limits of --lease [s]. Between processes of one host the lease is an hour.
 _LEASES_S = (2, 1800)
-
-_LEASE = click.option("--lease", type=time_within(*_LEASES_S), default="20 s", show_default=True,
-                      help="Close a link between hosts after this time without a sign of life.")  # fmt: skip
+Lease = Annotated[
+    int, time_within(*_LEASES_S), Option("Close a link between hosts after this time without a sign of life.")
+]
+LEASE_NS = 20 * 10**9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostsOptions:
-    """The values of `hosts_options`."""
+    """The options of `fleet run` for agents on other hosts; `rendezvous` reads them."""
 
-    listen: str | None
-    listen_certified: str | None
-    certs: Path | None
-    advertise: tuple[str, ...]
-    mutual_tls: bool
-    router: str | None
-    credentials: Path | None
-    lease: int  # ns
-
-
-def hosts_options(command: F) -> F:
-    """Add the options of `fleet run` for agents on other hosts; `rendezvous` reads their values."""
-    folder, file = (click.Path(path_type=Path, file_okay=dir_, dir_okay=not dir_) for dir_ in (False, True))
-    for option in (
-        _LEASE,
-        click.option("--credentials", metavar="FILE", type=file, help="With --router: the file of fleet hosts acl -o."),
-        click.option("--router", metavar="ENDPOINT", help="Join this zenoh router instead of hosting one."),
-        click.option("--mutual-tls", is_flag=True, help="External agents show client certificates, too."),
-        click.option("--advertise", metavar="HOST", multiple=True,
-                     help="With --listen: this host's name or address for agents; repeatable."),
-        click.option("--certs", metavar="DIR", type=folder, help="Certificates for tls, made by fleet hosts certs."),
-        click.option("--listen-certified", metavar="ENDPOINT",
-                     help="Also listen here for agents with a certificate and no password (zenoh-pico)."),
-        click.option("--listen", metavar="ENDPOINT",
-                     help="Also listen for agents on other hosts, e.g. tls/0.0.0.0:7447."),
-    ):  # fmt: skip
-        command = option(command)
-    return command
+    listen: Annotated[str | None, Option(
+        "Also listen for agents on other hosts, e.g. tls/0.0.0.0:7447.", "ENDPOINT")] = None  # fmt: skip
+    listen_certified: Annotated[str | None, Option(
+        "Also listen here for agents with a certificate and no password (zenoh-pico).", "ENDPOINT")] = (
+            None)  # fmt: skip
+    certs: Annotated[Path | None, FOLDER, Option("Certificates for tls, made by fleet hosts certs.")] = None
+    advertise: Annotated[tuple[str, ...], Option(
+        "With --listen: this host's name or address for agents; repeatable.", "HOST")] = ()  # fmt: skip
+    mutual_tls: Annotated[bool, Option("External agents show client certificates, too.")] = False
+    router: Annotated[str | None, Option("Join this zenoh router instead of hosting one.", "ENDPOINT")] = None
+    credentials: Annotated[Path | None, FILE, Option("With --router: the file of fleet hosts acl -o.")] = None
+    lease: Lease = LEASE_NS
 
 
 def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -> Rendezvous | None:
-    """Where the processes meet, by the options of `hosts_options`; None if none of these options is given.
+    """Where the processes meet, by the options for it; None if none of these options is given.
 
     Raises FleetError: they do not go together, or with the scenario.
     """
@@ -133,16 +119,17 @@ def hosts() -> None:
     """
 
 
-@hosts.command()
-@click.argument("directory", type=FOLDER)
-@click.option("--host", "names", metavar="NAME_OR_IP", multiple=True,
-              help="Name or address that agents use for the router; repeatable. Loopback is always added.")  # fmt: skip
-@click.option("--agents", metavar="N", type=Whole(0, 1000), default=0,
-              help="For mutual TLS: client certificates for agents 1 to N, and for the run itself.")  # fmt: skip
-@click.option("--days", metavar="N", type=Whole(1, 3650), default=365, show_default=True,
-              help="How long the certificates are valid.")  # fmt: skip
-@FORCE
-def certs(directory: Path, names: tuple[str, ...], agents: int, days: int, force: bool) -> None:
+@command(group=hosts)
+def certs(
+    directory: Annotated[Path, FOLDER],
+    *,
+    host: Annotated[tuple[str, ...], Option(
+        "Name or address that agents use for the router; repeatable. Loopback is always added.", "NAME_OR_IP")] = (),
+    agents: Annotated[int, Whole(0, 1000), Option(
+        "For mutual TLS: client certificates for agents 1 to N, and for the run itself.", "N")] = 0,
+    days: Annotated[int, Whole(1, 3650), Option("How long the certificates are valid.", "N")] = 365,
+    force: Force = False,
+) -> None:  # fmt: skip
     """Make a certificate authority and a router's certificate in DIR, for runs over several hosts.
 
     The authority's own key is not kept, so it can never sign anything else. Only you can read the keys.
@@ -154,37 +141,28 @@ def certs(directory: Path, names: tuple[str, ...], agents: int, days: int, force
     """
     from fleet.hosts.certificates import ALWAYS, make
 
-    make(directory, names, agents=agents, days=days, force=force)
-    click.echo(f"wrote {directory}: a router's certificate for {', '.join([*names, *ALWAYS])}", err=True)
-    if not names:
+    make(directory, host, agents=agents, days=days, force=force)
+    click.echo(f"wrote {directory}: a router's certificate for {', '.join([*host, *ALWAYS])}", err=True)
+    if not host:
         click.echo("warning: agents on other hosts cannot use it: name this host with --host", err=True)
 
 
-@hosts.command()
-@click.argument("scenario", shell_complete=scenarios)
-@click.option("-o", "--out", "out", type=FOLDER,
-              help="Write router.json5, users and credentials.json to DIR; by default print router.json5.")  # fmt: skip
-@click.option("--run", "run", metavar="ID", help="The run's id; by default a random one.")
-@click.option("--listen", metavar="ENDPOINT", default="tls/0.0.0.0:7447", show_default=True,
-              help="Where the router listens.")  # fmt: skip
-@click.option("--certs", type=FOLDER, help="Where the router finds its certificate, for tls.")
-@click.option("--mutual-tls", is_flag=True, help="The router asks clients for certificates.")
-@click.option("--users-file", metavar="PATH", type=PATH, help="Where the router finds the users; by default in DIR.")
-@_LEASE
-@OVERRIDES
-@FORCE
+@command(group=hosts)
 def acl(
-    scenario: str,
-    out: Path | None,
-    run: str | None,
-    listen: str,
-    certs: Path | None,
-    mutual_tls: bool,
-    users_file: Path | None,
-    lease: int,
-    overrides: tuple[str, ...],
-    force: bool,
-) -> None:
+    scenario: Annotated[str, scenarios],
+    *,
+    out: Annotated[Path | None, FOLDER, Option(
+        "Write router.json5, users and credentials.json to DIR; by default print router.json5.",
+        flag="-o --out")] = None,
+    run: Annotated[str | None, Option("The run's id; by default a random one.", "ID")] = None,
+    listen: Annotated[str, Option("Where the router listens.", "ENDPOINT")] = "tls/0.0.0.0:7447",
+    certs: Annotated[Path | None, FOLDER, Option("Where the router finds its certificate, for tls.")] = None,
+    mutual_tls: Annotated[bool, Option("The router asks clients for certificates.")] = False,
+    users_file: Annotated[Path | None, Option("Where the router finds the users; by default in DIR.")] = None,
+    lease: Lease = LEASE_NS,
+    overrides: Overrides = (),
+    force: Force = False,
+) -> None:  # fmt: skip
     """Print a configuration that lets an existing zenoh router serve a run of SCENARIO.
 
     Passwords are never printed. With -o they go into files that only you can read: one for the router, and one for

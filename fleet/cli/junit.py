@@ -9,12 +9,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import click
+from typing import TYPE_CHECKING, Annotated
 
 from fleet.cli.types import FILE
 from fleet.errors import FleetError
+from fleet.option import Option
 
 if TYPE_CHECKING:
     from fleet.result.result import Result
@@ -22,10 +21,11 @@ if TYPE_CHECKING:
     from fleet.study.search import Searched
     from fleet.study.store import Store
 
-JUNIT = click.option("--junit", type=FILE, help="Also write the result as a JUnit file, for CI services.")
+Junit = Annotated[Path | None, FILE, Option("Also write the result as a JUnit file, for CI services.")]
 
 
-_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# Compiling it takes 6 ms, which `fleet run --help` need not wait for.
+_NOT_XML = r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,4 +131,4 @@ def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
 
 
 def _clean(text: str) -> str:
-    return _NOT_XML.sub("?", text)
+    return re.sub(_NOT_XML, "?", text)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
-from functools import wraps
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 import click
 
 from fleet.cli import completion
 from fleet.cli.completion import CLOCK_WORDS
-from fleet.cli.documents.output import give, json_is_asked, json_option, print_document
+from fleet.cli.declare import command
+from fleet.cli.documents.output import give, json_is_asked, print_document
 from fleet.cli.group import USAGE
+from fleet.option import Option
 from fleet.terminal.status_line import rewritable
 from fleet.terminal.table import stdout
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from fleet.execution.connection import LiveRun
 
 
-F = TypeVar("F", bound=Callable[..., Any])
 D = TypeVar("D")
 _HELP = (
     "The run: its name or the beginning of it, its scenario, or its directory. Needed if several live here, "
@@ -36,20 +36,8 @@ _TIMES = ("at", "for", "id")  # which may stand before the kind of a fault
 _PACE = re.compile(r"max|[\d.]+x", re.ASCII)
 
 
-def run_option(command: F) -> F:
-    """Add the option that chooses a run."""
-    return click.option("--run", "run", metavar="NAME", shell_complete=completion.runs, help=_HELP)(command)
-
-
-def run_argument(command: F) -> F:
-    """Add the option and an argument that choose a run."""
-
-    @wraps(command)
-    def with_run(*arguments: Any, name: str | None, run: str | None, **options: Any) -> Any:
-        return command(*arguments, run=_one(name, run), **options)
-
-    argument = click.argument("name", metavar="[RUN]", required=False, shell_complete=completion.runs, help=_HELP)
-    return argument(run_option(with_run))  # type: ignore[return-value]
+RunOption = Annotated[str | None, completion.runs, Option(_HELP, "NAME", "--run")]
+RunName = Annotated[str | None, completion.runs, Option(_HELP, "[RUN]")]
 
 
 def _one(name: str | None, run: str | None) -> str | None:
@@ -151,14 +139,15 @@ def heal_words(words: tuple[str, ...], run: str | None) -> tuple[LiveRun, str | 
     return named, None
 
 
-@click.command()
-@click.argument("what", metavar="[RUN] FAULT", nargs=-1, required=True, shell_complete=completion.injection)
-@run_option
-@click.option("--for", "lasts", metavar="TIME",
-              help="How long it lasts; by default to the end of the run, or until healed.")  # fmt: skip
-@click.option("--id", "name", metavar="ID", help="Its name; by default live-1, live-2, ...")
-@json_option
-def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str | None) -> None:
+@command(document="fleet.execution.answers.Injected")
+def inject(
+    what: Annotated[tuple[str, ...], completion.injection, Option("", "[RUN] FAULT")],
+    *,
+    run: RunOption = None,
+    lasts: Annotated[str | None, Option(
+        "How long it lasts; by default to the end of the run, or until healed.", "TIME", "--for")] = None,
+    name: Annotated[str | None, Option("Its name; by default live-1, live-2, ...", "ID", "--id")] = None,
+) -> None:  # fmt: skip
     """Inject a fault into a live run.
 
     It acts within half a second of simulated time. The command prints the time at which it began.
@@ -197,11 +186,10 @@ def inject(what: tuple[str, ...], run: str | None, lasts: str | None, name: str 
     give(found, f"{found.run}: {found.id}: {found.what}, from t = {found.from_s:.2f} s {until}")
 
 
-@click.command()
-@click.argument("words", metavar="[RUN] [ID]", nargs=-1, shell_complete=completion.healing)
-@run_option
-@json_option
-def heal(words: tuple[str, ...], run: str | None) -> None:
+@command(document="fleet.execution.answers.Healed")
+def heal(
+    words: Annotated[tuple[str, ...], completion.healing, Option("", "[RUN] [ID]")] = (), *, run: RunOption = None
+) -> None:
     """End a fault of a live run, or all of them. fleet status shows their ids.
 
     \b
@@ -223,12 +211,12 @@ def heal(words: tuple[str, ...], run: str | None) -> None:
     give(found, f"{found.run}: healed {', '.join(found.healed) or 'nothing'} at t = {found.at_s:.2f} s")
 
 
-@click.command()
-@click.argument("words", metavar="[RUN] pause|resume|step|speed [VALUE]", nargs=-1, required=True,
-                shell_complete=completion.clock)  # fmt: skip
-@run_option
-@json_option
-def clock(words: tuple[str, ...], run: str | None) -> None:
+@command(document="fleet.execution.answers.ClockSet")
+def clock(
+    words: Annotated[tuple[str, ...], completion.clock, Option("", "[RUN] pause|resume|step|speed [VALUE]")],
+    *,
+    run: RunOption = None,
+) -> None:
     """Pause, step or pace a live run.
 
     \b
@@ -260,10 +248,8 @@ def clock(words: tuple[str, ...], run: str | None) -> None:
     give(found, f"{found.run}: {found.clock}, t = {found.at_s:.2f} s{onward}")
 
 
-@click.command()
-@run_argument
-@json_option
-def stop(run: str | None) -> None:
+@command(document="fleet.execution.answers.Stopping")
+def stop(name: RunName = None, *, run: RunOption = None) -> None:
     """Stop a live run; what it has recorded stays.
 
     \b
@@ -274,7 +260,7 @@ def stop(run: str | None) -> None:
     from fleet.execution.answers import Stopping
     from fleet.execution.connection import find
 
-    found = answer(Stopping, find(run, to_act=True), "stop")
+    found = answer(Stopping, find(_one(name, run), to_act=True), "stop")
     give(found, f"{found.run}: stopping at t = {found.at_s:.2f} s")
 
 
@@ -283,12 +269,16 @@ MOST_FAULTS = 5
 MOST_EVENTS = 3
 
 
-@click.command()
-@run_argument
-@click.option("-w", "--watch", is_flag=True, help="Repeat every second, until the run is over or Ctrl-C.")
-@click.option("--all", "every", is_flag=True, help="All vehicles, links and faults, not only the worst and active.")
-@json_option
-def status(run: str | None, watch: bool, every: bool) -> None:
+@command(document="fleet.execution.answers.RunStatus")
+def status(
+    name: RunName = None,
+    *,
+    run: RunOption = None,
+    watch: Annotated[bool, Option(
+        "Repeat every second, until the run is over or Ctrl-C.", flag="-w --watch")] = False,
+    every: Annotated[bool, Option(
+        "All vehicles, links and faults, not only the worst and active.", flag="--all")] = False,
+) -> None:  # fmt: skip
     """Show the state of a live run.
 
     It prints the time, the processes that the run waits for, and active faults with their ids. The fate of vehicles
@@ -305,7 +295,7 @@ def status(run: str | None, watch: bool, every: bool) -> None:
         raise click.UsageError("--json prints one document, and --watch many: give one of them")
     from fleet.execution.connection import find
 
-    found = find(run)
+    found = find(_one(name, run))
     if watch:
         watch_run(found, every, stdout())
     elif json_is_asked():

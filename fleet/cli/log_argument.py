@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from fleet.cli import completion
 from fleet.cli.completion import RUNS
-from fleet.cli.types import PATH
+from fleet.cli.types import Fallback
+from fleet.option import Option
 
 if TYPE_CHECKING:
     from fleet.view.source import LiveSource, LogSource
-
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def log_argument(command: F) -> F:
-    """Add the argument LOG; without it the newest run below `runs` is meant, which is named on stderr."""
-
-    @wraps(command)
-    def with_log(*arguments: Any, log: Path | None, **options: Any) -> Any:
-        return command(*arguments, log=newest_log() if log is None else log, **options)
-
-    argument = click.argument("log", type=PATH, required=False,
-                              help="An MCAP file, a run directory or a bag of ROS 2; by default the newest "
-                                   "run below runs.")  # fmt: skip
-    return argument(with_log)  # type: ignore[return-value]
 
 
 def newest_log() -> Path:
@@ -47,10 +30,18 @@ def newest_log() -> Path:
     return found
 
 
-SHOWN = click.argument("what", metavar="[RUN|LOG]", required=False, shell_complete=completion.published_runs,
-                       help="A live run that was started with --publish (its name, its scenario or its directory), an "
-                            "MCAP file, or a run directory. By default the live run that began last; if none lives, "
-                            "the newest run below runs.")  # fmt: skip
+# Without it the newest run below `runs` is meant, which is named on stderr.
+Log = Annotated[
+    Path,
+    Option("An MCAP file, a run directory or a bag of ROS 2; by default the newest run below runs."),
+    Fallback(newest_log),
+]
+Shown = Annotated[str | None, completion.published_runs, Option(
+    "A live run that was started with --publish (its name, its scenario or its directory), an MCAP file, or a run "
+    "directory. By default the live run that began last; if none lives, the newest run below runs.",
+    "[RUN|LOG]")]  # fmt: skip
+LogRate = Annotated[float | None, click.FloatRange(0.001, 1000.0)]
+LogLoop = Annotated[bool, Option("For a log: begin again at the end.", flag="-l --loop")]
 
 
 def find_shown(what: str | None, rate: float | None, *, control: bool, loop: bool) -> LiveSource | LogSource:

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
-from click.core import ParameterSource
 
 from fleet.cli import completion
-from fleet.cli.documents.output import give, json_option
-from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.types import FILE, FOLDER, FORCE, NO_PROGRESS, PATH, TIME, VEHICLES, WINDOW, PictureWords, Whole, Words
+from fleet.cli.declare import command
+from fleet.cli.documents.output import give
+from fleet.cli.log_argument import Log, newest_log
+from fleet.cli.types import (
+    FILE,
+    FOLDER,
+    TIME,
+    VEHICLES,
+    WINDOW,
+    Folder,
+    Force,
+    NoProgress,
+    PictureWords,
+    Whole,
+    Words,
+    is_given,
+)
 from fleet.errors import FleetError
+from fleet.option import Option
 from fleet.terminal.status_line import showing, showing_steps
 from fleet.terminal.table import say
 
@@ -26,63 +40,54 @@ KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "tim
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written
-_OF_LOGS = {name: f"--{name}" for name in ("what", "compare", "vehicles", "window")}
-_OF_STUDIES = {"measures": "--measure"}
+_OF_LOGS = ("what", "compare", "vehicles", "window")
+_OF_STUDIES = ("measures",)
 
 
-_vehicles = click.option("--vehicles", type=VEHICLES, help="Only these, e.g. 1,3-5.")
-_log_scale = click.option("--log-scale/--linear", default=None,
-                          help="Errors, other signals and ages on a logarithmic axis, or all on a linear one. By "
-                               "default errors are logarithmic, and a study's measures that span much.")  # fmt: skip
-_window = click.option("--window", type=WINDOW,
-                       help="Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other "
-                            "pictures the whole run.")  # fmt: skip
-
-_measure = click.option("--measure", "measures", metavar="NAME", multiple=True,
-                              help="For a study: another measure to show; repeatable. An unknown name lists "
-                                   "them.")  # fmt: skip
-
-
-def _folder(_: click.Context, __: click.Parameter, value: Path | None) -> Path | None:
-    """A folder; refused is what looks like a picture's file."""
-    suffix = "" if value is None else value.suffix.lower()[1:]
-    if suffix in (*FORMATS, *OTHER_FORMATS) and value is not None and not value.is_dir():
-        raise click.BadParameter(
-            f"expected a folder, because there are several pictures, got {str(value)!r}; choose their format with "
-            f"--format: {', '.join(FORMATS)}"
-        )
-    return value
+Vehicles = Annotated[tuple[int, ...] | None, VEHICLES, Option("Only these, e.g. 1,3-5.")]
+LogScale = Annotated[bool | None, Option(
+    "Errors, other signals and ages on a logarithmic axis, or all on a linear one. By default errors are logarithmic, "
+    "and a study's measures that span much.", flag="--log-scale/--linear")]  # fmt: skip
+Window = Annotated[tuple[float, float] | None, WINDOW, Option(
+    "Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the whole "
+    "run.")]  # fmt: skip
+Measures = Annotated[tuple[str, ...], Option(
+    "For a study: another measure to show; repeatable. An unknown name lists them.", "NAME", "--measure")]  # fmt: skip
+PictureFormats = Annotated[tuple[str, ...], Words(FORMATS)]
 
 
-@click.command()
-@log_argument
-@click.option("-o", "--out", type=FOLDER, callback=_folder,
-              help="The folder for pictures; by default `plots` next to the log.")  # fmt: skip
-@click.option(
-    "--what", type=PictureWords(KINDS, "all", PARTS), default="all", show_default=True,
-    shell_complete=completion.pictures,
-    help=f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
-    "the log: control.leads, command.tau_0, '|error.e|'.",
-)  # fmt: skip
-@click.option("--format", "formats", type=Words(FORMATS), default="png", show_default=True,
-              help="Some of png, svg, pdf.")  # fmt: skip
-@click.option("--compare", metavar="LOG2", type=PATH, multiple=True, help="Another run on the same axes; repeatable.")
-@_measure
-@_vehicles
-@_log_scale
-@_window
-@NO_PROGRESS
+class _PicturesFolder(Folder):
+    """A folder for pictures; refused is what looks like a picture's file."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        folder = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
+        if folder.suffix.lower()[1:] in (*FORMATS, *OTHER_FORMATS) and not folder.is_dir():
+            self.fail(
+                f"expected a folder, because there are several pictures, got {str(folder)!r}; choose their format with "
+                f"--format: {', '.join(FORMATS)}",
+                param,
+                ctx,
+            )
+        return folder
+
+
+@command()
 def plot(
-    log: Path,
-    out: Path | None,
-    what: tuple[str, ...],
-    formats: tuple[str, ...],
-    compare: tuple[Path, ...],
-    measures: tuple[str, ...],
-    vehicles: tuple[int, ...] | None,
-    log_scale: bool | None,
-    window: tuple[float, float] | None,
-) -> None:
+    log: Log,
+    *,
+    out: Annotated[Path | None, _PicturesFolder(path_type=Path, file_okay=False), Option(
+        "The folder for pictures; by default `plots` next to the log.", flag="-o --out")] = None,
+    what: Annotated[tuple[str, ...], PictureWords(KINDS, "all", PARTS), completion.pictures, Option(
+        f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
+        "the log: control.leads, command.tau_0, '|error.e|'.")] = KINDS,
+    formats: Annotated[PictureFormats, Option("Some of png, svg, pdf.", flag="--format")] = ("png",),
+    compare: Annotated[tuple[Path, ...], Option("Another run on the same axes; repeatable.", "LOG2")] = (),
+    measures: Measures = (),
+    vehicles: Vehicles = None,
+    log_scale: LogScale = None,
+    window: Window = None,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
 
     The pictures are: tracks, consensus and formation errors with the limits of the checks, inputs with their limits,
@@ -131,37 +136,30 @@ def _print(paths: Sequence[Path]) -> None:
         sys.exit(1)
 
 
-@click.command()
-@log_argument
-@click.option("--csv", "csv", type=FOLDER, help="Write CSV here.")
-@click.option("--parquet", type=FOLDER, help="Write Parquet here; needs uuv-fleet[parquet].")
-@click.option("--netcdf", type=FOLDER, help="Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].")
-@click.option("--traces", type=FOLDER,
-              help="Write the fate of each packet here: a CSV file per directed link, or per key of a recording, which "
-                   "network.links can read.")  # fmt: skip
-@click.option("--sequence", metavar="FIELD", help="Traces of a recording: the field of JSON payloads that counts them.")
-@click.option("--period", type=TIME, help="Traces of a recording: time between two messages of a key without numbers.")
-@click.option("--ros2", type=FOLDER, help="Write a bag of ROS 2 here; needs uuv-fleet[ros2].")
-@click.option("--scenario", is_flag=True,
-              help="Print the scenario that runs LOG again, with all that was injected while it was made.")  # fmt: skip
-@click.option("--topics", metavar="PATTERN", multiple=True, help="Only topics such as 'uuv/*/state'; repeatable.")
-@click.option("--exclude", metavar="PATTERN", multiple=True, help="Not these topics; repeatable.")
-@FORCE
-@NO_PROGRESS
+@command()
 def export(
-    log: Path,
-    csv: Path | None,
-    parquet: Path | None,
-    netcdf: Path | None,
-    traces: Path | None,
-    sequence: str | None,
-    period: int | None,
-    ros2: Path | None,
-    scenario: bool,
-    topics: tuple[str, ...],
-    exclude: tuple[str, ...],
-    force: bool,
-) -> None:
+    log: Log,
+    *,
+    csv: Annotated[Path | None, FOLDER, Option("Write CSV here.")] = None,
+    parquet: Annotated[Path | None, FOLDER, Option("Write Parquet here; needs uuv-fleet[parquet].")] = None,
+    netcdf: Annotated[Path | None, FOLDER, Option(
+        "Write NetCDF here, by the CF conventions; needs uuv-fleet[tables].")] = None,
+    traces: Annotated[Path | None, FOLDER, Option(
+        "Write the fate of each packet here: a CSV file per directed link, or per key of a recording, which "
+        "network.links can read.")] = None,
+    sequence: Annotated[str | None, Option(
+        "Traces of a recording: the field of JSON payloads that counts them.", "FIELD")] = None,
+    period: Annotated[int | None, TIME, Option(
+        "Traces of a recording: time between two messages of a key without numbers.")] = None,
+    ros2: Annotated[Path | None, FOLDER, Option("Write a bag of ROS 2 here; needs uuv-fleet[ros2].")] = None,
+    scenario: Annotated[bool, Option(
+        "Print the scenario that runs LOG again, with all that was injected while it was made.")] = False,
+    topics: Annotated[tuple[str, ...], Option(
+        "Only topics such as 'uuv/*/state'; repeatable.", "PATTERN")] = (),
+    exclude: Annotated[tuple[str, ...], Option("Not these topics; repeatable.", "PATTERN")] = (),
+    force: Force = False,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
     """Write LOG (an MCAP file, a run directory, or a bag of ROS 2) as tables, one file per topic, or print its
     scenario; or a study as one table of its runs.
 
@@ -180,10 +178,6 @@ def export(
       fleet export studies/rough-sea-20261122-101500 --csv tables
       fleet export --scenario > again.yaml && fleet run again.yaml
     """
-    from fleet.logs.dataset import fits
-    from fleet.logs.export import export as write
-    from fleet.logs.open_log import Opening
-
     tables = [(form, folder) for form, folder in (("csv", csv), ("parquet", parquet), ("netcdf", netcdf)) if folder]
     folders = [folder.absolute() for folder in (*(folder for _, folder in tables), traces, ros2) if folder is not None]
     if scenario:
@@ -195,7 +189,7 @@ def export(
         forms = "--csv DIR, --parquet DIR, --netcdf DIR, --traces DIR or --ros2 DIR"
         raise click.UsageError(f"no folder for the tables: give {forms}; or --scenario")
     if is_study(log):
-        check_options(log, {name: f"--{name}" for name in ("netcdf", "traces", "ros2", "topics", "exclude")}, "logs")
+        check_options(log, ("netcdf", "traces", "ros2", "topics", "exclude"), "logs")
         for form, folder in tables:
             click.echo(export_study(log, folder, form, force=force))
         return
@@ -211,8 +205,17 @@ def export(
         _export_traces(log, traces, (topics, exclude, sequence, period), force=force)
     if ros2 is not None:
         _export_bag(log, ros2)
-    if not tables:
-        return
+    if tables:
+        _export_tables(log, tables, topics, exclude, force=force)
+
+
+def _export_tables(
+    log: Path, tables: Sequence[tuple[str, Path]], topics: tuple[str, ...], exclude: tuple[str, ...], *, force: bool
+) -> None:
+    from fleet.logs.dataset import fits
+    from fleet.logs.export import export as write
+    from fleet.logs.open_log import Opening
+
     with showing(f"reading {log}") as tell:
         found = Opening(log, topics or None, tell, exclude, hold_all=False).read()
     if topics and not len(found):
@@ -272,25 +275,19 @@ def _export_traces(log: Path, folder: Path, selected: tuple[Any, ...], *, force:
         click.echo(path)
 
 
-@click.command()
-@click.argument("logs", metavar="[LOG]...", type=PATH, nargs=-1,
-                help="MCAP files or run directories; by default the newest run below runs.")  # fmt: skip
-@click.option("-o", "--out", type=FILE, default=Path("report.html"), show_default=True, help="The page.")
-@FORCE
-@_measure
-@_vehicles
-@_log_scale
-@_window
-@NO_PROGRESS
+@command()
 def report(
-    logs: tuple[Path, ...],
-    out: Path,
-    force: bool,
-    measures: tuple[str, ...],
-    vehicles: tuple[int, ...] | None,
-    log_scale: bool | None,
-    window: tuple[float, float] | None,
-) -> None:
+    logs: Annotated[tuple[Path, ...], Option(
+        "MCAP files or run directories; by default the newest run below runs.", "[LOG]...")] = (),
+    *,
+    out: Annotated[Path, FILE, Option("The page.", flag="-o --out")] = Path("report.html"),
+    force: Force = False,
+    measures: Measures = (),
+    vehicles: Vehicles = None,
+    log_scale: LogScale = None,
+    window: Window = None,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
     """Write one self-contained HTML page about one LOG, or about several and what they have in common.
 
     The page has the scenario, conditions of the links, and faults. From result.json next to the log it takes verdicts,
@@ -331,11 +328,8 @@ def report(
     click.echo(out)
 
 
-@click.command()
-@log_argument
-@json_option
-@NO_PROGRESS
-def info(log: Path) -> None:
+@command(document="fleet.logs.info.Info")
+def info(log: Log, *, quiet: NoProgress = False) -> None:
     """Summarise LOG (an MCAP file, a run directory, or a bag of ROS 2), also if it was cut short.
 
     \b
@@ -350,24 +344,24 @@ def info(log: Path) -> None:
     give(found, info_text(found))
 
 
-@click.command()
-@log_argument
-@click.option("-o", "--out", type=FILE, default=Path("movie.gif"), show_default=True,
-              help="The movie: a .gif, or an .mp4 if ffmpeg is installed.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace what is there.")
-@click.option("--view", type=click.Choice(["above", "3d"]), default="above", show_default=True, help="From where.")
-@click.option("--from", "begin", type=TIME, default="0s", help="Begin at this time, e.g. 20s.")
-@click.option("--to", "end", type=TIME, help="End at this time; by default at the end of the log.")
-@click.option("--speed", metavar="X", type=click.FloatRange(0.001, 1000.0),
-              help="Times real time; by default so that the movie lasts 12 s, but never slower than real "
-                   "time.")  # fmt: skip
-@click.option("--fps", metavar="N", type=Whole(1, 50), default=10, show_default=True, help="Pictures per second.")
-@click.option("--width", metavar="PX", type=Whole(320, 1920), default=800, show_default=True,
-              help="In pixels, rounded down to a multiple of 8; the height is three quarters of it.")  # fmt: skip
-@NO_PROGRESS
+@command()
 def movie(
-    log: Path, out: Path, force: bool, view: str, begin: int, end: int | None, speed: float | None, fps: int, width: int
-) -> None:
+    log: Log,
+    *,
+    out: Annotated[Path, FILE, Option(
+        "The movie: a .gif, or an .mp4 if ffmpeg is installed.", flag="-o --out")] = Path("movie.gif"),
+    force: Force = False,
+    view: Annotated[Literal["above", "3d"], Option("From where.")] = "above",
+    begin: Annotated[int, TIME, Option("Begin at this time, e.g. 20s.", flag="--from")] = 0,
+    end: Annotated[int | None, TIME, Option(
+        "End at this time; by default at the end of the log.", flag="--to")] = None,
+    speed: Annotated[float | None, click.FloatRange(0.001, 1000.0), Option(
+        "Times real time; by default so that the movie lasts 12 s, but never slower than real time.", "X")] = None,
+    fps: Annotated[int, Whole(1, 50), Option("Pictures per second.", "N")] = 10,
+    width: Annotated[int, Whole(320, 1920), Option(
+        "In pixels, rounded down to a multiple of 8; the height is three quarters of it.", "PX")] = 800,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
     """Make a movie of LOG (an MCAP file, or a run directory) as fleet view shows it, as a GIF or an MP4.
 
     It shows hulls, their ways and desired places; links by their arrivals, packets, and faults with their remaining
@@ -394,15 +388,17 @@ def movie(
     click.echo(out)
 
 
-@click.command()
-@click.argument("trace", type=FILE)
-@click.option("--states", type=click.Choice(("1", "2", "3")), default="2", show_default=True,
-              help="How many states; 1 is one condition, for losses that come alone.")  # fmt: skip
-@click.option("--interval", type=TIME, help="Between two packets; by default the median in the trace.")
-@click.option("--picture", type=FILE,
-              help="Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).")  # fmt: skip
-@NO_PROGRESS
-def fit(trace: Path, states: str, interval: int | None, picture: Path | None) -> None:
+@command()
+def fit(
+    trace: Annotated[Path, FILE],
+    *,
+    states: Annotated[Literal["1", "2", "3"], Option(
+        "How many states; 1 is one condition, for losses that come alone.")] = "2",
+    interval: Annotated[int | None, TIME, Option("Between two packets; by default the median in the trace.")] = None,
+    picture: Annotated[Path | None, FILE, Option(
+        "Draw the lengths of bursts, of TRACE and of the fit, into this file (png, svg, pdf).")] = None,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
     """Fit link states to what TRACE (CSV) says was delivered, and print them for a scenario.
 
     The states are those of a hidden Markov model (Gilbert and Elliott), fitted by expectation maximisation. So a long
@@ -493,10 +489,10 @@ def is_study(path: Path) -> bool:
     return (path / "study.json").is_file()
 
 
-def check_options(subject: Path, options: Mapping[str, str], only_for: str) -> None:
+def check_options(subject: Path, names: Collection[str], only_for: str) -> None:
     """Refuse options that were given, by their parameters, if they are for what the subject is not: UsageError."""
-    source = click.get_current_context().get_parameter_source
-    given = [option for name, option in options.items() if source(name) not in (None, ParameterSource.DEFAULT)]
+    options = click.get_current_context().command.params
+    given = [each.opts[-1] for each in options if each.name in names and is_given(each.name)]
     if given:
         raise click.UsageError(f"{', '.join(given)}: only for {only_for}; {subject} is none")
 

@@ -9,20 +9,23 @@ import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import Annotated, Literal
 
 import click
 
 from fleet.cli.completion import scenarios
+from fleet.cli.declare import command
 from fleet.cli.group import ListingGroup
 from fleet.cli.types import FOLDER
 from fleet.errors import FleetError
+from fleet.option import Option
 
-KINDS = ("controller", "guidance", "tracking", "agent")
+Kinds = Literal["controller", "guidance", "tracking", "agent"]
 _IMPORTED = {
     "Any", "AgentConfig", "Command", "Delivery", "Facts", "FormationAgent", "Failure", "Nav", "KIND", "PAYLOAD",
     "PayloadError", "PlantConfig", "Sample", "Sequence", "Signal", "Telemetry", "Tick", "Vec3", "Vec6", "Water",
 }  # by the templates  # fmt: skip
-_folder = click.option("--dir", "folder", type=FOLDER, default=Path(), help="Where to write; by default here.")
+InFolder = Annotated[Path, FOLDER, Option("Where to write.", flag="--dir")]
 
 
 @click.group(cls=ListingGroup)
@@ -30,12 +33,14 @@ def new() -> None:
     """Begin something of your own from a template."""
 
 
-@new.command()
-@click.argument("name")
-@click.option("--kind", type=click.Choice(KINDS), default="controller", show_default=True,
-              help="What it replaces: guidance and tracking, one of them, or the whole agent.")  # fmt: skip
-@_folder
-def controller(name: str, kind: str, folder: Path) -> None:
+@command(group=new)
+def controller(
+    name: str,
+    *,
+    kind: Annotated[Kinds, Option(
+        "What it replaces: guidance and tracking, one of them, or the whole agent.")] = "controller",
+    folder: InFolder = Path(),
+) -> None:  # fmt: skip
     """Write NAME.py, a control law that runs as it is, and NAME.yaml, a scenario that uses it.
 
     \b
@@ -50,10 +55,8 @@ def controller(name: str, kind: str, folder: Path) -> None:
     _write_modules(name, folder, {".py": f"{kind}.py", ".yaml": "law.yaml"}, "Law", {"THE_CHOICE": choice})
 
 
-@new.command()
-@click.argument("name")
-@_folder
-def check(name: str, folder: Path) -> None:
+@command(group=new)
+def check(name: str, *, folder: InFolder = Path()) -> None:
     """Write NAME.py, a check of your own that runs as it is, and NAME.yaml, a scenario that uses it.
 
     \b
@@ -64,10 +67,8 @@ def check(name: str, folder: Path) -> None:
     _write_modules(name, folder, {".py": "check.py", ".yaml": "check.yaml"}, "Check")
 
 
-@new.command()
-@click.argument("name")
-@_folder
-def protocol(name: str, folder: Path) -> None:
+@command(group=new)
+def protocol(name: str, *, folder: InFolder = Path()) -> None:
     """Write NAME.py, a protocol that runs as it is, NAME_check.py, a check of its promise, and NAME.yaml, a scenario.
 
     \b
@@ -79,10 +80,8 @@ def protocol(name: str, folder: Path) -> None:
     _write_modules(name, folder, templates, "Protocol")
 
 
-@new.command()
-@click.argument("name")
-@_folder
-def plant(name: str, folder: Path) -> None:
+@command(group=new)
+def plant(name: str, *, folder: InFolder = Path()) -> None:
     """Write NAME.py, a vehicle in six degrees of freedom that runs as it is, and NAME.yaml, a scenario that uses it.
 
     \b
@@ -93,12 +92,14 @@ def plant(name: str, folder: Path) -> None:
     _write_modules(name, folder, {".py": "plant.py", ".yaml": "plant.yaml"}, "Plant")
 
 
-@new.command()
-@click.argument("name")
-@click.option("--from", "shipped", metavar="SHIPPED", shell_complete=scenarios,
-              help="Begin with a scenario that ships with the package; see fleet list.")  # fmt: skip
-@_folder
-def scenario(name: str, shipped: str | None, folder: Path) -> None:
+@command(group=new)
+def scenario(
+    name: str,
+    *,
+    shipped: Annotated[str | None, scenarios, Option(
+        "Begin with a scenario that ships with the package; see fleet list.", "SHIPPED", "--from")] = None,
+    folder: InFolder = Path(),
+) -> None:  # fmt: skip
     """Write NAME.yaml, a commented scenario that runs and passes as it is.
 
     \b

@@ -8,14 +8,16 @@ import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, NoReturn, TypeVar
 
 import click
 
 from fleet.cli.completion import scenarios
+from fleet.cli.declare import command
 from fleet.cli.group import ListingGroup, report
-from fleet.cli.types import FILE, FOLDER, TIME, TRUST, Whole, time_within
+from fleet.cli.types import FILE, FOLDER, TIME, Distribution, Trust, Whole, time_within
 from fleet.errors import FleetError, printable
+from fleet.option import Option
 from fleet.processes.interrupts import ending_status
 from fleet.terminal.status_line import StatusLine
 
@@ -42,26 +44,22 @@ def protocol(context: click.Context) -> None:
         click.echo(page(), nl=False)
 
 
-@protocol.command(epilog=_CHECK)
-@click.option("--id", "vehicle", metavar="I", type=Whole(min=1), required=True, help="The agent's number.")
-@click.option("--scenario", default="paper", show_default=True, shell_complete=scenarios,
-              help="The scenario of the agent's slice.")  # fmt: skip
-@TRUST
-@click.option("--join-file", type=FILE, help="Where to write the join file; by default join-<i>.json here.")
-@click.option("--timeout", type=TIME, default="300 s", show_default=True, help="How long to wait for the agent.")
-@click.option("--port", type=Whole(1, 65535), help="Loopback port of the router; by default a free one.")
-@click.option("--listen-certified", metavar="ENDPOINT",
-              help="Also listen here for an agent with a certificate and no password (zenoh-pico).")  # fmt: skip
-@click.option("--certs", type=FOLDER, help="With --listen-certified: certificates, made by fleet hosts certs.")
+@command(epilog=_CHECK, group=protocol)
 def check(
-    vehicle: int,
-    scenario: str,
-    join_file: Path | None,
-    timeout: int,
-    port: int | None,
-    listen_certified: str | None,
-    certs: Path | None,
-) -> None:
+    *,
+    vehicle: Annotated[int, Whole(min=1), Option("The agent's number.", "I", "--id")],
+    scenario: Annotated[str, scenarios, Option("The scenario of the agent's slice.")] = "paper",
+    trust: Trust = False,
+    join_file: Annotated[Path | None, FILE, Option(
+        "Where to write the join file; by default join-<i>.json here.")] = None,
+    timeout: Annotated[int, TIME, Option("How long to wait for the agent.")] = 300 * 10**9,
+    port: Annotated[int | None, Whole(1, 65535), Option(
+        "Loopback port of the router; by default a free one.")] = None,
+    listen_certified: Annotated[str | None, Option(
+        "Also listen here for an agent with a certificate and no password (zenoh-pico).", "ENDPOINT")] = None,
+    certs: Annotated[Path | None, FOLDER, Option(
+        "With --listen-certified: certificates, made by fleet hosts certs.")] = None,
+) -> None:  # fmt: skip
     """Play world and netem against your agent, and judge all its messages.
 
     The command writes a join file, waits for the agent, and plays a fixed exchange. That has the handshake, ticks and
@@ -107,19 +105,20 @@ _AGENT = (
 )
 
 
-@click.command(epilog=_AGENT)
-@click.option("--join", "path", metavar="FILE", required=True, type=FILE,
-              help="The join-<i>.json that fleet run wrote for an external vehicle.")  # fmt: skip
-@click.option("--wait", metavar="[TIME]", type=time_within(1, 86_400), is_flag=False, flag_value="300 s",
-              help="Wait for the file, and for a run that takes this agent, up to this time; 300 s without a "
-                   "time.")  # fmt: skip
-@click.option("--ros2", metavar="[DISTRO]", type=click.Choice(("humble", "jazzy", "kilted")), is_flag=False,
-              flag_value="jazzy",
-              help="A node of ROS 2 is the agent: it gets the vehicle's measurements and messages, and answers with a "
-                   "wrench.")  # fmt: skip
-@TRUST
-@click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
-def agent(path: Path, wait: int | None, ros2: str | None, quiet: bool) -> None:
+@command(epilog=_AGENT)
+def agent(
+    *,
+    path: Annotated[Path, FILE, Option(
+        "The join-<i>.json that fleet run wrote for an external vehicle.", "FILE", "--join")],
+    wait: Annotated[int | None, time_within(1, 86_400), Option(
+        "Wait for the file, and for a run that takes this agent, up to this time; 300 s without a time.", "[TIME]",
+        alone="300 s")] = None,
+    ros2: Annotated[Distribution | None, Option(
+        "A node of ROS 2 is the agent: it gets the vehicle's measurements and messages, and answers with a wrench.",
+        "[DISTRO]", alone="jazzy")] = None,
+    trust: Trust = False,
+    quiet: Annotated[bool, Option("Print only errors.", flag="-q --quiet")] = False,
+) -> None:  # fmt: skip
     """Run the agent of an external vehicle here, in this terminal, until the run is over.
 
     It behaves like the agent that fleet run would start: the scenario determines its laws, and the log is the same.

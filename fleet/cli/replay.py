@@ -8,54 +8,38 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
 from fleet.cli import completion
+from fleet.cli.declare import command
 from fleet.cli.group import exit_status
-from fleet.cli.log_argument import log_argument
+from fleet.cli.log_argument import Log
 from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT, FILE, TIME
 from fleet.errors import FleetError
+from fleet.option import Option
+from fleet.replay.player import PlaybackOptions
 from fleet.terminal.status_line import StatusLine, showing
 from fleet.terminal.table import say
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
 
-def _speed(ctx: click.Context, param: click.Parameter, value: float) -> float:
-    from fleet.replay.player import FASTEST, SLOWEST
-
-    if value and not SLOWEST <= value <= FASTEST:
-        raise click.BadParameter(f"expected 0 or {SLOWEST:g} to {FASTEST:g}, got {value:g}")
-    return value
-
-
-_connect = click.option("--connect", type=ENDPOINT,
-                        help="Join the router or peer at this address, e.g. tcp/10.0.0.5:7447.")  # fmt: skip
-_listen = click.option("--listen", type=ENDPOINT,
-                       help="Be a router at this address; by default a free loopback port, which is "
-                            "printed.")  # fmt: skip
+Connect = Annotated[str | None, ENDPOINT, Option("Join the router or peer at this address, e.g. tcp/10.0.0.5:7447.")]
+Listen = Annotated[
+    str | None,
+    ENDPOINT,
+    Option("Be a router at this address; by default a free loopback port, which is printed."),
+]
+NoSummary = Annotated[bool, Option("No progress and no summary.", flag="-q --quiet")]
 
 
-@click.command(epilog=EPILOG)
-@log_argument
-@click.option("--speed", metavar="X", type=float, default=1.0, show_default=True, callback=_speed,
-              help="Times the log's own pace; 0: as fast as possible.")  # fmt: skip
-@click.option("--start", "start_ns", type=TIME, default=0, help="Begin at this time of the log, e.g. '20 s'.")
-@click.option("--end", "end_ns", type=TIME, help="End at this time of the log.")
-@click.option("--topics", metavar="TOPIC", multiple=True,
-              help="Only this topic, or those that fit: uuv/*/state, link/**; repeatable.")  # fmt: skip
-@click.option("--exclude", metavar="TOPIC", multiple=True, help="Not this topic, or those that fit; repeatable.")
-@click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
-@click.option("--step", is_flag=True, help="Begin with a pause; right arrow plays a tick, space goes on.")
-@click.option("--wait-for-subscribers", "wait", is_flag=True,
-              help="Begin when every key that is played has a subscriber.")  # fmt: skip
-@_connect
-@_listen
-@click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
-def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **how: Any) -> None:
+@command(epilog=EPILOG)
+def replay(
+    log: Log, *, options: PlaybackOptions, connect: Connect = None, listen: Listen = None, quiet: NoSummary = False
+) -> None:
     """Publish LOG (an MCAP file, a run directory, or a bag of ROS 2) on zenoh again, at its own pace.
 
     On a terminal: space pauses, right arrow plays one tick, up and down change the rate by 10 %, ] and [ (or shift
@@ -69,10 +53,9 @@ def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **ho
     """
     from fleet.logs.reader import log_path
     from fleet.logs.tape import Tape
-    from fleet.replay.playback import PlaybackOptions, Replay
+    from fleet.replay.playback import Replay
     from fleet.terminal.keyboard import Keyboard
 
-    options = PlaybackOptions(**how)
     if options.step and not Keyboard.possible():
         raise click.UsageError("--step needs a terminal, because a key press continues it")
     with showing(f"reading {log}", quiet=quiet) as tell:
@@ -96,30 +79,24 @@ def replay(log: Path, connect: str | None, listen: str | None, quiet: bool, **ho
             line.print(played.summary(time.monotonic() - began))
 
 
-@click.command(epilog=EPILOG)
-@click.option("-k", "--key", "keys", metavar="KEY", multiple=True,
-              help="Key expression to record, e.g. 'robot/**'; repeatable.")  # fmt: skip
-@click.option("-o", "--out", "output", type=FILE, help="The file to write; by default record-<UTC time>.mcap.")
-@click.option("--duration", type=TIME, help="Stop after this time, e.g. '1 min'.")
-@_connect
-@_listen
-@click.option("--run", metavar="NAME", shell_complete=completion.published_runs,
-              help="Record the journal of this live run, started with --publish, until it ends: its name or the "
-              "beginning of it, its scenario, or its directory.")  # fmt: skip
-@click.option("--ros2", is_flag=True,
-              help="Write the messages of ROS 2 nodes as a bag, over rmw_zenoh with ROS_DOMAIN_ID; --out is its "
-                   "directory, and --key a topic such as '/uuv_1/*'.")  # fmt: skip
-@click.option("-q", "--quiet", is_flag=True, help="No progress and no summary.")
+@command(epilog=EPILOG)
 def record(
-    keys: tuple[str, ...],
-    output: Path | None,
-    duration: int | None,
-    connect: str | None,
-    listen: str | None,
-    run: str | None,
-    ros2: bool,
-    quiet: bool,
-) -> None:
+    *,
+    keys: Annotated[tuple[str, ...], Option(
+        "Key expression to record, e.g. 'robot/**'; repeatable.", "KEY", "-k --key")] = (),
+    output: Annotated[Path | None, FILE, Option(
+        "The file to write; by default record-<UTC time>.mcap.", flag="-o --out")] = None,
+    duration: Annotated[int | None, TIME, Option("Stop after this time, e.g. '1 min'.")] = None,
+    connect: Connect = None,
+    listen: Listen = None,
+    run: Annotated[str | None, completion.published_runs, Option(
+        "Record the journal of this live run, started with --publish, until it ends: its name or the beginning of it, "
+        "its scenario, or its directory.", "NAME")] = None,
+    ros2: Annotated[bool, Option(
+        "Write the messages of ROS 2 nodes as a bag, over rmw_zenoh with ROS_DOMAIN_ID; --out is its directory, and "
+        "--key a topic such as '/uuv_1/*'.")] = False,
+    quiet: NoSummary = False,
+) -> None:  # fmt: skip
     """Record zenoh traffic of any kind to an MCAP file, until Ctrl-C.
 
     With --run it ends with the run. Payloads stay as they are, with their encoding, attachment and timestamp;

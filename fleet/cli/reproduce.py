@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated, Literal
 
 import click
 
+from fleet.cli.declare import command
 from fleet.cli.group import exit_status
 from fleet.cli.types import FOLDER, Whole
+from fleet.option import Option
 from fleet.processes.limits import processors
 from fleet.terminal.status_line import showing_jobs
 from fleet.terminal.table import stdout
 
 
-@click.command()
-@click.option("--out", type=FOLDER, default=Path("reproduction"), show_default=True,
-              help="The folder for report.md, metrics.json and the pictures.")  # fmt: skip
-@click.option("--jobs", metavar="N", type=Whole(1, 256), help="Runs at a time; by default one per core.")
-@click.option("--case", "cases", metavar="NAME", multiple=True,
-              help="Only runs whose name begins with NAME; repeatable.")  # fmt: skip
-@click.option("--format", "formats", type=click.Choice(["png", "svg", "pdf"]), multiple=True, default=("png",),
-              show_default=True, help="Format of the pictures; repeatable.")  # fmt: skip
-def reproduce(out: Path, jobs: int | None, cases: tuple[str, ...], formats: tuple[str, ...]) -> None:
+@command()
+def reproduce(
+    *,
+    out: Annotated[Path, FOLDER, Option("The folder for report.md, metrics.json and the pictures.")] = (
+        Path("reproduction")),
+    jobs: Annotated[int | None, Whole(1, 256), Option("Runs at a time; by default one per core.", "N")] = None,
+    cases: Annotated[tuple[str, ...], Option(
+        "Only runs whose name begins with NAME; repeatable.", "NAME", "--case")] = (),
+    formats: Annotated[tuple[Literal["png", "svg", "pdf"], ...], Option(
+        "Format of the pictures; repeatable.", flag="--format")] = ("png",),
+) -> None:  # fmt: skip
     """Run the paper's simulation section again and judge each of its claims.
 
     The runs cover five controllers, undisturbed and disturbed, with the printed and the corrected cost, with and

@@ -7,15 +7,17 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from fleet.cli.declare import command
 from fleet.cli.group import exit_status
-from fleet.cli.log_argument import SHOWN, find_shown
+from fleet.cli.log_argument import LogLoop, LogRate, Shown, find_shown
 from fleet.cli.sessions import ending
-from fleet.cli.types import ENDPOINT, PATH, Whole
+from fleet.cli.types import ENDPOINT, Distribution, Whole
 from fleet.errors import FleetError
+from fleet.option import Option
 from fleet.processes.beside import begin, end, line_of, pipe
 from fleet.terminal.status_line import StatusLine, showing
 from fleet.terminal.table import say
@@ -54,34 +56,22 @@ class BridgeProcess:
             pipe(process.stdout).close()
 
 
-@click.command(epilog=EPILOG)
-@SHOWN
-@click.option("--domain", metavar="N", type=Whole(0, 232), help="Domain of ROS; by default ROS_DOMAIN_ID, or 0.")
-@click.option("--distro", type=click.Choice(("humble", "jazzy", "kilted")), default="jazzy", show_default=True,
-              help="Distribution of ROS that the nodes run.")  # fmt: skip
-@click.option("--connect", type=ENDPOINT, help="Join the router there, such as rmw_zenohd.")
-@click.option("--listen", type=ENDPOINT,
-              help="Be the router at this address; by default join the one at tcp/127.0.0.1:7447, or be "
-                   "it.")  # fmt: skip
-@click.option("--control", is_flag=True, help="Offer services that inject and heal faults of a live run.")
-@click.option("-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
-              help="For a log: speed in multiples of its own pace.")  # fmt: skip
-@click.option("-l", "--loop", is_flag=True, help="For a log: begin again at the end.")
-@click.option("--interfaces", metavar="DIR", type=PATH,
-              help="Write the package uuv_fleet_msgs below DIR, for colcon, and stop.")  # fmt: skip
-@click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
+@command(epilog=EPILOG)
 def ros2(
-    what: str | None,
-    domain: int | None,
-    distro: str,
-    connect: str | None,
-    listen: str | None,
-    control: bool,
-    rate: float | None,
-    loop: bool,
-    interfaces: Path | None,
-    quiet: bool,
-) -> None:
+    what: Shown = None,
+    *,
+    domain: Annotated[int | None, Whole(0, 232), Option("Domain of ROS; by default ROS_DOMAIN_ID, or 0.", "N")] = None,
+    distro: Annotated[Distribution, Option("Distribution of ROS that the nodes run.")] = "jazzy",
+    connect: Annotated[str | None, ENDPOINT, Option("Join the router there, such as rmw_zenohd.")] = None,
+    listen: Annotated[str | None, ENDPOINT, Option(
+        "Be the router at this address; by default join the one at tcp/127.0.0.1:7447, or be it.")] = None,
+    control: Annotated[bool, Option("Offer services that inject and heal faults of a live run.")] = False,
+    rate: Annotated[LogRate, Option("For a log: speed in multiples of its own pace.", "X", "-r --rate")] = None,
+    loop: LogLoop = False,
+    interfaces: Annotated[Path | None, Option(
+        "Write the package uuv_fleet_msgs below DIR, for colcon, and stop.", "DIR")] = None,
+    quiet: Annotated[bool, Option("Print only errors.", flag="-q --quiet")] = False,
+) -> None:  # fmt: skip
     """Show a live run or a log to nodes of ROS 2, over zenoh as rmw_zenoh speaks it.
 
     Prints domain and address. Nodes need RMW_IMPLEMENTATION=rmw_zenoh_cpp, and for our clock use_sim_time.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fleet.cli.documents.output import json_is_asked, json_option, print_document
-from fleet.cli.types import AGE, PATH, Whole, Words
+from fleet.cli.declare import command
+from fleet.cli.documents.output import json_is_asked, print_document
+from fleet.cli.types import AGE, Whole, Words
+from fleet.option import Option
 from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
@@ -21,24 +23,18 @@ WIDE = 100  # columns from which on there is room for what the name says already
 VERDICTS = ("pass", "fail", "broke", "stopped")
 
 
-@click.command()
-@click.option("-o", "--out", metavar="DIR", type=PATH, default=Path("runs"), show_default=True,
-              help="The folder with run directories.")  # fmt: skip
-@click.option("--prune", is_flag=True, help="Remove runs that are over: those that fit every option below.")
-@click.option("--keep", metavar="N", type=Whole(min=0), help="Keep the newest N of the runs that are over.")
-@click.option("--older-than", type=AGE, help="Only runs that began at least this long ago, e.g. '7 days'.")
-@click.option("--verdict", "verdicts", type=Words(VERDICTS),
-              help=f"Only runs with these verdicts: {', '.join(VERDICTS)}.")  # fmt: skip
-@click.option("--yes", is_flag=True, help="Remove them. Without it they are only listed.")
-@json_option
+@command(document="fleet.cli.documents.logs.Runs")
 def ls(
-    out: Path,
-    prune: bool,
-    keep: int | None,
-    older_than: float | None,
-    verdicts: tuple[str, ...] | None,
-    yes: bool,
-) -> None:
+    *,
+    out: Annotated[Path, Option("The folder with run directories.", "DIR", "-o --out")] = Path("runs"),
+    prune: Annotated[bool, Option("Remove runs that are over: those that fit every option below.")] = False,
+    keep: Annotated[int | None, Whole(min=0), Option("Keep the newest N of the runs that are over.", "N")] = None,
+    older_than: Annotated[float | None, AGE, Option(
+        "Only runs that began at least this long ago, e.g. '7 days'.")] = None,
+    verdicts: Annotated[tuple[str, ...] | None, Words(VERDICTS), Option(
+        f"Only runs with these verdicts: {', '.join(VERDICTS)}.", flag="--verdict")] = None,
+    yes: Annotated[bool, Option("Remove them. Without it they are only listed.")] = False,
+) -> None:  # fmt: skip
     """List the live runs of this user, then the runs below a directory, the newest first.
 
     Each row has the verdict, the simulated time, the size and the age of a run. The verdict is pass, FAIL, stopped,
@@ -150,8 +146,7 @@ def _age(seconds: float) -> str:
     return f"{max(0, int(seconds))} s"
 
 
-@click.command(name="list")
-@json_option
+@command("list", document="fleet.cli.documents.logs.Scenarios")
 def list_() -> None:
     """List the scenarios that ship with the package, by group, and the studies.
 

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import timedelta
 from functools import partial
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
 
 from fleet.cli import junit as cli_junit
+from fleet.cli.changes import Changes
 from fleet.cli.completion import scenarios
+from fleet.cli.declare import command
 from fleet.cli.documents.output import give, json_is_asked, print_document
-from fleet.cli.junit import JUNIT
-from fleet.cli.study_options import Making, changing_options, least_options, making_options
-from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Whole
+from fleet.cli.junit import Junit
+from fleet.cli.study_options import LeastFile, Making
+from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Force, Whole
 from fleet.errors import printable
+from fleet.option import Option
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece, say
 
@@ -39,23 +42,18 @@ MOST_FAULTS = 4  # that a line names
 SEEDS = "seeds"  # what a search makes first
 
 
-@click.command()
-@click.argument("failing", metavar="LOG|SCENARIO", shell_complete=scenarios)
-@changing_options
-@click.option("--check", metavar="NAME", help="The check that must still fail; by default the first that fails.")
-@least_options
-@click.option("--budget", metavar="RUNS", type=Whole(1), default=MOST_RUNS, show_default=True,
-              help="Stop after this number of runs.")  # fmt: skip
-@making_options()
+@command(document="fleet.cli.documents.studies.Less")
 def shrink(
-    failing: str,
-    changes: list[str | Override],
-    check: str | None,
-    out: Path | None,
-    force: bool,
-    budget: int,
+    failing: Annotated[str, scenarios, Option("", "LOG|SCENARIO")],
+    *,
+    changes: Changes,
+    check: Annotated[str | None, Option(
+        "The check that must still fail; by default the first that fails.", "NAME")] = None,
+    out: LeastFile = None,
+    force: Force = False,
+    budget: Annotated[int, Whole(1), Option("Stop after this number of runs.", "RUNS")] = MOST_RUNS,
     how: Making,
-) -> None:
+) -> None:  # fmt: skip
     """Make a run that fails a check as small as possible.
 
     The command removes faults and vehicles, shortens the run and its faults, and makes faults milder, as long as the
@@ -173,54 +171,43 @@ def _enough(scenario: Scenario, triggered: Mapping[str, str]) -> str:
     return f"{count}: {', '.join(each + more)}" if faults else "No fault is needed"
 
 
-def _failing_scenario(name: str, changes: list[str | Override]) -> tuple[Scenario, Path | None]:
+def _failing_scenario(name: str, changes: Iterable[str | Override]) -> tuple[Scenario, Path | None]:
     from fleet.scenario.catalogue import shipped_scenarios
     from fleet.scenario.loading import load_scenario
 
     path = Path(name)
     if name in shipped_scenarios() or path.suffix in (".yaml", ".yml"):
-        return load_scenario(name, changes), path.parent if path.exists() else None
+        return load_scenario(name, [*changes]), path.parent if path.exists() else None
     from fleet.repeat.recorded_run import recorded
     from fleet.scenario.trust import Policy
 
-    return recorded(path).script(changes, Policy()), None
+    return recorded(path).script([*changes], Policy()), None
 
 
 NemesisMode = Literal["swarm", "episodes", "liveness"] | None
 
 
-@click.command()
-@click.argument("scenario", shell_complete=scenarios)
-@click.option("--budget", type=BUDGET, default="200", show_default=True,
-              help="The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")  # fmt: skip
-@click.option("--nemesis", is_flag=True, help="Add a nemesis to a scenario without one: a swarm of faults.")
-@click.option("--episodes", is_flag=True,
-              help="Like --nemesis, but a few faults at a time, in the protocol's own unit, and then a quiet "
-                   "time.")  # fmt: skip
-@click.option("--liveness", is_flag=True,
-              help="Like --nemesis, but in the middle of the run a core of vehicles is healed; the others stay "
-                   "broken.")  # fmt: skip
-@click.option("--check", metavar="NAME", help="The check that must fail; by default any that the scenario states.")
-@changing_options
-@least_options
-@click.option("--keep", type=FOLDER,
-              help="Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")  # fmt: skip
-@JUNIT
-@making_options()
+@command(document="fleet.cli.documents.studies.FirstFailing")
 def search(
-    scenario: str,
-    budget: tuple[float, float],
-    nemesis: bool,
-    episodes: bool,
-    liveness: bool,
-    check: str | None,
-    changes: list[str | Override],
-    out: Path | None,
-    force: bool,
-    keep: Path | None,
-    junit: Path | None,
+    scenario: Annotated[str, scenarios],
+    *,
+    budget: Annotated[tuple[float, float], BUDGET, Option(
+        "The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")] = (200, inf),
+    nemesis: Annotated[bool, Option("Add a nemesis to a scenario without one: a swarm of faults.")] = False,
+    episodes: Annotated[bool, Option(
+        "Like --nemesis, but a few faults at a time, in the protocol's own unit, and then a quiet time.")] = False,
+    liveness: Annotated[bool, Option(
+        "Like --nemesis, but in the middle of the run a core of vehicles is healed; the others stay broken.")] = False,
+    check: Annotated[str | None, Option(
+        "The check that must fail; by default any that the scenario states.", "NAME")] = None,
+    changes: Changes,
+    out: LeastFile = None,
+    force: Force = False,
+    keep: Annotated[Path | None, FOLDER, Option(
+        "Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")] = None,
+    junit: Junit = None,
     how: Making,
-) -> None:
+) -> None:  # fmt: skip
     """Try seeds of a nemesis until a check fails, and make that run as small as possible.
 
     The first seed is that of the scenario; --set seed=201 goes on after 200. Any number of workers finds the same seed:
@@ -314,7 +301,7 @@ class _Hunt:
         write_least(self.least.scenario, self.path)
 
 
-def _tried(name: str, changes: list[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
+def _tried(name: str, changes: Iterable[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
     """The scenario of the search, and the modules that its runs need; `mode`: of the nemesis that the scenario gets."""
     from fleet.scenario.loading import load_scenario
     from fleet.study.modules import modules_of
@@ -322,7 +309,7 @@ def _tried(name: str, changes: list[str | Override], mode: NemesisMode) -> tuple
     from fleet.study.study_file import refuse_study
 
     refuse_study(name)
-    tried = load_scenario(name, changes)
+    tried = load_scenario(name, [*changes])
     if mode is not None:
         tried = load_scenario(name, [*changes, nemesis_of(tried, mode)])
     return tried, modules_of([tried], Path(name).parent if Path(name).exists() else None)
@@ -367,12 +354,14 @@ def _print_search(
             say(one.words)
 
 
-@click.command()
-@click.argument("folder", type=FOLDER)
-@click.option("--accept", is_flag=True, help="Expect the present verdicts from now on.")
-@cli_junit.JUNIT
-@making_options()
-def regress(folder: Path, accept: bool, junit: Path | None, how: Making) -> None:
+@command(document="fleet.cli.documents.studies.RegressedFolder")
+def regress(
+    folder: Annotated[Path, FOLDER],
+    *,
+    accept: Annotated[bool, Option("Expect the present verdicts from now on.")] = False,
+    junit: Junit = None,
+    how: Making,
+) -> None:
     """Repeat the failures that a search has kept, and compare their verdicts with the expected ones.
 
     The exit status is 0 if all are as expected, 1 if one is not, 3 if one has no result. After you mend a failure, it
@@ -421,28 +410,20 @@ def _show_regressed(found: Sequence[Regressed]) -> None:
     say(f"{sum(one.same for one in found)} of {len(found)} are as expected")
 
 
-@click.command()
-@click.argument("scenario", shell_complete=scenarios)
-@click.option("--check", metavar="NAME", required=True, help="The check whose failures are rare.")
-@click.option("--repeats", metavar="N", type=Whole(1, 10_000), default=20, show_default=True,
-              help="Independent estimates; their spread gives the interval.")  # fmt: skip
-@click.option("--effort", metavar="N", type=Whole(4, 100_000), default=100, show_default=True,
-              help="The number of partial runs in each stage.")  # fmt: skip
-@click.option("--budget", type=TIME, help="Begin no repeat after this wall time, e.g. '10 min'.")
-@changing_options
-@click.option("-o", "--out", type=FILE,
-              help="The file for estimates; a later call continues it. By default NAME-rare.json.")  # fmt: skip
-@making_options()
+@command(document="fleet.study.rare.RareFound")
 def rare(
-    scenario: str,
-    check: str,
-    repeats: int,
-    effort: int,
-    budget: int | None,
-    changes: list[str | Override],
-    out: Path | None,
+    scenario: Annotated[str, scenarios],
+    *,
+    check: Annotated[str, Option("The check whose failures are rare.", "NAME")],
+    repeats: Annotated[int, Whole(1, 10_000), Option(
+        "Independent estimates; their spread gives the interval.", "N")] = 20,
+    effort: Annotated[int, Whole(4, 100_000), Option("The number of partial runs in each stage.", "N")] = 100,
+    budget: Annotated[int | None, TIME, Option("Begin no repeat after this wall time, e.g. '10 min'.")] = None,
+    changes: Changes,
+    out: Annotated[Path | None, FILE, Option(
+        "The file for estimates; a later call continues it. By default NAME-rare.json.", flag="-o --out")] = None,
     how: Making,
-) -> None:
+) -> None:  # fmt: skip
     """Estimate how often a check fails, if failures are too rare to count.
 
     Runs that nearly failed continue from there several times, with other draws of network and sea (multilevel
@@ -459,7 +440,7 @@ def rare(
     from fleet.study.study_file import refuse_study
 
     refuse_study(scenario)
-    loaded = load_scenario(scenario, changes)
+    loaded = load_scenario(scenario, [*changes])
     modules = modules_of([loaded], Path(scenario).parent if Path(scenario).exists() else None)
     path = out or Path(f"{loaded.name}-rare.json")
     with how.showing(pieces) as tell, how.engine() as engine:

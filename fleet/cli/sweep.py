@@ -5,25 +5,27 @@ from __future__ import annotations
 from datetime import timedelta
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from fleet.cli import junit as cli_junit
 from fleet.cli.completion import studies
+from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
-from fleet.cli.junit import JUNIT
+from fleet.cli.junit import Junit
 from fleet.cli.study_options import (
-    OUT,
-    Asked,
     Making,
+    MakingStudy,
+    StudiesFolder,
     axis_columns,
-    making_options,
+    given_values,
     progress_pieces,
     show_reached,
-    spec_options,
     study_directory,
 )
+from fleet.cli.types import is_given
+from fleet.option import Option
 from fleet.study.spec import KeepLogs, StudySpec
 from fleet.terminal.status_line import StatusLine
 from fleet.terminal.table import Piece, TerminalColumn, say, show, stdout
@@ -40,15 +42,15 @@ _MOST_TOLD = 10  # unsaved logs that are listed by name
 _HOW_TO_VARY = "--vary varies a key: --vary 'loss=0 %..60 %/20 %' --net '* loss {loss}' varies the loss of all links"
 
 
-@click.command()
-@click.argument("scenario", metavar="SCENARIO|STUDY|DIR", shell_complete=studies)
-@spec_options(StudySpec)
-@OUT
-@JUNIT
-@click.option("--show-config", is_flag=True, help="Print the study as a file, with the options in it, and stop.")
-@making_options("Print only the study's directory; failures go to stderr.")
+@command(document="fleet.cli.documents.studies.Swept")
 def sweep(
-    scenario: str, asked: Asked[StudySpec], out: Path, junit: Path | None, show_config: bool, how: Making
+    scenario: Annotated[str, studies, Option("", "SCENARIO|STUDY|DIR")],
+    *,
+    asked: StudySpec,
+    out: StudiesFolder = Path("studies"),
+    junit: Junit = None,
+    show_config: Annotated[bool, Option("Print the study as a file, with the options in it, and stop.")] = False,
+    how: MakingStudy,
 ) -> None:
     """Run SCENARIO at every combination of some values, with several seeds each, and print results with intervals.
 
@@ -98,7 +100,7 @@ def sweep(
         _show(store, shown)
 
 
-def _as_file(name: str, directory: Path | None, asked: Asked[StudySpec]) -> str:
+def _as_file(name: str, directory: Path | None, asked: StudySpec) -> str:
     from fleet.study.plan import plan_of
     from fleet.study.study_file import study_yaml
     from fleet.study.sweep import declared, load_points
@@ -110,27 +112,27 @@ def _as_file(name: str, directory: Path | None, asked: Asked[StudySpec]) -> str:
     return study_yaml(_opened(directory, asked)[1])
 
 
-def _opened(directory: Path, asked: Asked[StudySpec]) -> tuple[Store, StudySpec]:
+def _opened(directory: Path, asked: StudySpec) -> tuple[Store, StudySpec]:
     """The study of a directory, and its spec with what was asked now; a budget is that of one command."""
     from fleet.study.store import Store
     from fleet.study.sweep import refuse_border
 
     store = Store.open(directory)
     refuse_border(store)
-    return store, store.record.rules.changed(**{"budget": "", **asked.values})
+    return store, store.record.rules.changed(**{"budget": "", **given_values(asked)})
 
 
-def _asked_for(name: str, asked: Asked[StudySpec]) -> NamedStudy:
+def _asked_for(name: str, asked: StudySpec) -> NamedStudy:
     from fleet.study.study_file import NamedStudy, study_named
 
     study = study_named(name) or NamedStudy(StudySpec(name))
-    spec = study.spec.changed(**asked.values)
-    if "most_seeds" in asked.names and not spec.until:
+    spec = study.spec.changed(**given_values(asked))
+    if is_given("most_seeds") and not spec.until:
         raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
     return study._replace(spec=spec)
 
 
-def _prepared(name: str, asked: Asked[StudySpec], out: Path, how: Making) -> tuple[Store, StudySpec, Modules]:
+def _prepared(name: str, asked: StudySpec, out: Path, how: Making) -> tuple[Store, StudySpec, Modules]:
     from fleet.study.plan import plan_of
     from fleet.study.study import new_directory
     from fleet.study.sweep import prepare

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import inf
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import click
 
-F = TypeVar("F", bound=Callable[..., Any])
+from fleet.option import Option
+
 T = TypeVar("T")
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)  # the metavar of an option is the name of its type
@@ -23,66 +24,44 @@ class Folder(click.Path):
 
 
 FOLDER = Folder(path_type=Path, file_okay=False)
-OVERRIDES = click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True,
-                         help="Override one scenario key, e.g. network.period='200 ms'.")  # fmt: skip
 
 
-def _trust(context: click.Context, option: click.Parameter, value: bool) -> None:
-    """What --trust allows holds until the command ends."""
-    if value:
-        from world.plugins.trust import Trust, trusting
+class Effect(NamedTuple):
+    """What a flag does until the command ends, besides being known to its function."""
 
-        say = Trust(everything=True, notify=lambda text: click.echo(f"fleet: {text}", err=True))
-        context.with_resource(trusting(say))
+    act: Callable[[click.Context], None]
 
 
-TRUST = click.option("--trust", is_flag=True, expose_value=False, callback=_trust,
-                     help="Also run laws, plants and checks that are neither installed nor your own.")  # fmt: skip
-FORCE = click.option("--force", is_flag=True, help="Replace what is there.")
+class Fallback(NamedTuple):
+    """Finds a value that was not given, once all others are read."""
+
+    find: Callable[[], Any]
 
 
-def _hush(context: click.Context, option: click.Parameter, value: bool) -> None:
-    if value:
-        from fleet.terminal.status_line import hushed
+def _trust(context: click.Context) -> None:
+    from world.plugins.trust import Trust, trusting
 
-        context.with_resource(hushed())
+    say = Trust(everything=True, notify=lambda text: click.echo(f"fleet: {text}", err=True))
+    context.with_resource(trusting(say))
 
 
-NO_PROGRESS = click.option("-q", "--quiet", is_flag=True, expose_value=False, callback=_hush, help="No progress.")
+def _hush(context: click.Context) -> None:
+    from fleet.terminal.status_line import hushed
+
+    context.with_resource(hushed())
+
+
+Trust = Annotated[
+    bool, Option("Also run laws, plants and checks that are neither installed nor your own."), Effect(_trust)
+]
+NoProgress = Annotated[bool, Option("No progress.", flag="-q --quiet"), Effect(_hush)]
+Distribution = Literal["humble", "jazzy", "kilted"]  # of ROS 2
+Force = Annotated[bool, Option("Replace what is there.")]
 
 
 def is_given(name: str) -> bool:
     """Whether an option was given on the command line, so that its value is no default."""
     return click.get_current_context().get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
-
-
-def _override(context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> tuple[Any, ...]:
-    """The overrides that an option asks for; nothing is imported without any."""
-    if not values:
-        return ()
-    from fleet.scenario.text.overrides import Override
-
-    return tuple(Override(option.opts[0], value) for value in values)
-
-
-def key_options(**given: Any) -> list[Any]:
-    """Options that are short for --set of a key of their name, as overrides; None: not given."""
-    from fleet.scenario.text.overrides import SET, Override
-
-    return [Override(SET, f"{key}={value}", f"--{key} {value}") for key, value in given.items() if value is not None]
-
-
-_NET = click.option("--net", metavar="'LINKS CONDITION'", multiple=True, callback=_override,
-                    help="Impair links from the start, e.g. '1->2 loss 30%'; repeatable; the last one for a link "
-                         "wins.")  # fmt: skip
-_FAULT = click.option("--fault", metavar="'at TIME ...'", multiple=True, callback=_override,
-                      help="Add a fault in the words of fleet inject, e.g. 'at 20s for 10s partition halves'; "
-                           "repeatable.")  # fmt: skip
-
-
-def disturbances(command: F) -> F:
-    """Add --fault and --net, which change a scenario in the words of `fleet inject`."""
-    return _FAULT(_NET(command))
 
 
 class Whole(click.IntRange):
@@ -98,17 +77,17 @@ class Whole(click.IntRange):
 
 
 class Parsed(click.ParamType[T]):
-    """What `read` makes of a text; its TextError or ValueError says what is wrong. A value that is no text stays."""
+    """What `read` makes of a text; its TextError or ValueError says what is wrong.
 
-    def __init__(self, name: str, read: Callable[[str], T]) -> None:
-        self.name, self._read = name, read
+    `write` gives the text of a default; empty: it is not shown.
+    """
+
+    def __init__(self, name: str, read: Callable[[str], T], write: Callable[[Any], str] | None = None) -> None:
+        self.name, self._read, self.write = name, read, write
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> T:
         from netem.errors import TextError
 
-        if not isinstance(value, str):
-            known: T = value
-            return known
         try:
             return self._read(value)
         except TextError as error:
@@ -125,7 +104,12 @@ def _time_ns(text: str) -> int:
     return ns
 
 
-TIME = Parsed("time", _time_ns)  # with a unit, in whole ns
+def _time_text(ns: int | None) -> str:
+    return "" if ns is None else f"{ns / 1e9:g} s"
+
+
+TIME = Parsed("time", _time_ns, _time_text)  # with a unit, in whole ns
+SECONDS = Parsed("time", lambda text: _time_ns(text) / 1e9, lambda s: _time_text(None if s is None else round(s * 1e9)))
 
 
 def time_within(least_s: int, most_s: int) -> Parsed[int]:
@@ -136,7 +120,7 @@ def time_within(least_s: int, most_s: int) -> Parsed[int]:
             raise ValueError(f"expected {least_s} s to {most_s} s, got {text!r}")
         return ns
 
-    return Parsed("time", read)
+    return Parsed("time", read, _time_text)
 
 
 def _budget(text: str) -> tuple[float, float]:
@@ -152,7 +136,10 @@ def _budget(text: str) -> tuple[float, float]:
     return found
 
 
-BUDGET = Parsed("runs|time", _budget)  # the most runs, and the most seconds of wall time; one of them is inf
+# The most runs, and the most seconds of wall time; one of the two is inf.
+BUDGET = Parsed(
+    "runs|time", _budget, lambda found: f"{found[0]:g}"
+)  # the most runs, and the most seconds of wall time; one of them is inf
 
 
 def _number(text: str, otherwise: float) -> float:
@@ -171,7 +158,23 @@ def _speed(text: str) -> float | None:
     return speed
 
 
-SPEED = Parsed("x|max", _speed)  # a factor of real time; None: max
+# A factor of real time; None: as fast as possible.
+SPEED = Parsed(
+    "x|max", _speed, lambda speed: "max" if speed is None else f"{speed:g}"
+)  # a factor of real time; None: max
+
+
+class _Pace(click.types.FloatParamType):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from fleet.replay.player import FASTEST, SLOWEST
+
+        pace = super().convert(value, param, ctx)
+        if pace and not SLOWEST <= pace <= FASTEST:
+            self.fail(f"expected 0 or {SLOWEST:g} to {FASTEST:g}, got {pace:g}", param, ctx)
+        return pace
+
+
+PACE = _Pace()  # times that of a log; 0: as fast as possible
 
 
 def _share(text: str) -> float:
@@ -181,7 +184,7 @@ def _share(text: str) -> float:
     return share
 
 
-SHARE = Parsed("share", _share)  # from 0 to 1, or in percent
+SHARE = Parsed("share", _share, lambda share: f"{100 * share:g}%")  # from 0 to 1, or in percent
 
 
 class Words(click.ParamType[tuple[str, ...]]):
@@ -197,8 +200,6 @@ class Words(click.ParamType[tuple[str, ...]]):
         self._words, self._everything, self._parts = tuple(words), everything, tuple(parts)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        if isinstance(value, tuple):
-            return value
         asked = [word.strip() for word in str(value).split(",")]
         if self._everything and self._everything in asked:
             return self._words
@@ -209,6 +210,10 @@ class Words(click.ParamType[tuple[str, ...]]):
                 hint = nearest(word, self.words) or f"there are {', '.join(self.words)}{self.others}"
                 self.fail(f"{word!r} is unknown; {hint}", param, ctx)
         return tuple(dict.fromkeys(asked))
+
+    def write(self, value: tuple[str, ...] | None) -> str:
+        """The text of a default."""
+        return self._everything if self._everything and value == self._words else ",".join(value or ())
 
     @property
     def words(self) -> tuple[str, ...]:

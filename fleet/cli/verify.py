@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fleet.cli.documents.output import give, json_is_asked, json_option, print_document
-from fleet.cli.log_argument import log_argument, newest_log
-from fleet.cli.study_options import Making, making_options
-from fleet.cli.types import FILE, NO_PROGRESS, OVERRIDES, PATH, TRUST, Whole, key_options
+from fleet.cli.changes import Overrides, key_options
+from fleet.cli.declare import command
+from fleet.cli.documents.output import give, json_is_asked, print_document
+from fleet.cli.log_argument import Log, newest_log
+from fleet.cli.study_options import Making
+from fleet.cli.types import FILE, NoProgress, Trust, Whole
+from fleet.option import Option
 from fleet.terminal.status_line import StatusLine, showing, showing_time
 from fleet.terminal.table import Piece, say
 
@@ -21,15 +24,10 @@ if TYPE_CHECKING:
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
 _RECOVER = "Exit status: 0 whole, 1 nothing can be recovered, 2 usage, 3 something is lost."
-_log = PATH
 
 
-@click.command(epilog=_VERIFY)
-@log_argument
-@TRUST
-@json_option
-@NO_PROGRESS
-def verify(log: Path) -> None:
+@command(epilog=_VERIFY, document="fleet.repeat.verify.Verification")
+def verify(log: Log, *, trust: Trust = False, quiet: NoProgress = False) -> None:
     """Run LOG again and compare: every message, bit for bit.
 
     It repeats the log's scenario and seed with all injected faults and deaths, in this process, up to the end of the
@@ -48,15 +46,17 @@ def verify(log: Path) -> None:
     sys.exit(0 if found.reproduced else 1)
 
 
-@click.command(epilog=_DIFF)
-@click.argument("a", type=_log, help="An MCAP file, a run directory or a bag of ROS 2.")
-@click.argument("b", type=_log, required=False, help="By default the newest run below runs.")
-@click.option("--tolerance", metavar="X", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
-              help="The largest allowed difference of two numbers, each in its own unit.")  # fmt: skip
-@click.option("--all", "everything", is_flag=True, help="Every signal that differs, not only the first twenty.")
-@json_option
-@NO_PROGRESS
-def diff(a: Path, b: Path | None, tolerance: float, everything: bool) -> None:
+@command(epilog=_DIFF, document="fleet.cli.documents.logs.Compared")
+def diff(
+    a: Annotated[Path, Option("An MCAP file, a run directory or a bag of ROS 2.")],
+    b: Annotated[Path | None, Option("By default the newest run below runs.")] = None,
+    *,
+    tolerance: Annotated[float, click.FloatRange(min=0.0), Option(
+        "The largest allowed difference of two numbers, each in its own unit.", "X")] = 0.0,
+    everything: Annotated[bool, Option(
+        "Every signal that differs, not only the first twenty.", flag="--all")] = False,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
     """Compare the messages of logs A and B: whether they are the same, where they part, and how far signals differ.
 
     If one run continues another (fleet run --from), the comparison begins where the later one begins.
@@ -102,12 +102,14 @@ def diff(a: Path, b: Path | None, tolerance: float, everything: bool) -> None:
     sys.exit(status)
 
 
-@click.command(epilog=_RECOVER)
-@log_argument
-@NO_PROGRESS
-@click.option("-o", "--out", metavar="OUT", type=_log,
-              help="The file to write; by default LOG.recovered.mcap next to it.")  # fmt: skip
-def recover(log: Path, out: Path | None) -> None:
+@command(epilog=_RECOVER)
+def recover(
+    log: Log,
+    *,
+    out: Annotated[Path | None, Option(
+        "The file to write; by default LOG.recovered.mcap next to it.", "OUT", "-o --out")] = None,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
     """Write the undamaged part of a cut or damaged LOG as a clean file with an index.
 
     Its metadata record `recovery` describes the missing parts. Damaged places are skipped and counted. The bag of a
@@ -129,16 +131,18 @@ def recover(log: Path, out: Path | None) -> None:
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 
-@click.command(name="whatif")
-@log_argument
-@click.option("--agent", type=Whole(min=1), required=True, help="The number of the vehicle.")
-@click.option("--controller", metavar="LAW", help="Short for --set controller=LAW: a name, or package.module:Class.")
-@OVERRIDES
-@TRUST
-@click.option("--plot", type=PATH, help="Draw both commands into this file (png, svg, pdf).")
-@json_option
-@NO_PROGRESS
-def command(log: Path, agent: int, controller: str | None, overrides: tuple[str, ...], plot: Path | None) -> None:
+@command(document="fleet.repeat.what_if.OtherCommands")
+def whatif(
+    log: Log,
+    *,
+    agent: Annotated[int, Whole(min=1), Option("The number of the vehicle.")],
+    controller: Annotated[str | None, Option(
+        "Short for --set controller=LAW: a name, or package.module:Class.", "LAW")] = None,
+    overrides: Overrides = (),
+    trust: Trust = False,
+    plot: Annotated[Path | None, Option("Draw both commands into this file (png, svg, pdf).")] = None,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
     """Give another agent the navigation and messages of one in LOG, and compare their commands.
 
     This is open loop: the vehicle still moves by the recorded commands. Without a change the commands are identical.
@@ -184,14 +188,16 @@ def what_if_lines(found: WhatIf) -> list[str]:
     return lines
 
 
-@click.command()
-@log_argument
-@click.option("--check", metavar="NAME", help="The check that failed; by default the first one that did.")
-@click.option("--picture", type=FILE, help="Draw it into this file (png, svg, pdf).")
-@click.option("--budget", metavar="RUNS", type=Whole(0, 10_000), default=24, show_default=True,
-              help="Healed runs that are tried; 0: only what the log says.")  # fmt: skip
-@making_options()
-def why(log: Path, check: str | None, picture: Path | None, budget: int, how: Making) -> None:
+@command(document="fleet.explanation.why.Why")
+def why(
+    log: Log,
+    *,
+    check: Annotated[str | None, Option("The check that failed; by default the first one that did.", "NAME")] = None,
+    picture: Annotated[Path | None, FILE, Option("Draw it into this file (png, svg, pdf).")] = None,
+    budget: Annotated[int, Whole(0, 10_000), Option(
+        "Healed runs that are tried; 0: only what the log says.", "RUNS")] = 24,
+    how: Making,
+) -> None:  # fmt: skip
     """Explain why a check failed in LOG: faults, messages that did not arrive, and what each vehicle knew.
 
     It also finds the point of no return: the last moment from which the run still passes if all faults are healed. For
@@ -229,4 +235,4 @@ def _pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
     return [Piece(0, [doing]), Piece(1, [f"{runs} runs" if doing == RUNS else ""])]
 
 
-COMMANDS = (verify, diff, recover, command, why)
+COMMANDS = (verify, diff, recover, whatif, why)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fleet.cli.log_argument import SHOWN, find_shown
+from fleet.cli.declare import command
+from fleet.cli.log_argument import LogLoop, LogRate, Shown, find_shown
 from fleet.cli.types import Whole
+from fleet.option import Option
 
 if TYPE_CHECKING:
     from fleet.view.page_process import PageProcess
@@ -19,30 +21,22 @@ if TYPE_CHECKING:
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port, 129 terminal closed, 130 Ctrl-C."
 
 
-@click.command(epilog=EPILOG)
-@SHOWN
-@click.option("--foxglove", is_flag=True, help="Serve Foxglove and Lichtblick; needs uuv-fleet[foxglove].")
-@click.option("--host", metavar="ADDRESS", default="127.0.0.1", show_default=True, help="Listen there.")
-@click.option("--port", metavar="PORT", type=Whole(0, 65535),
-              help="By default a free one. With --foxglove it is 8765, if that is free: viewers propose "
-                   "it.")  # fmt: skip
-@click.option("--control/--read-only", default=None,
-              help="Whether viewers may inject, heal and pause. Foxglove's protocol knows no passwords, so it is "
-                   "--read-only by default with --foxglove.")  # fmt: skip
-@click.option("--no-open", is_flag=True, help="Do not open a browser.")
-@click.option("-r", "--rate", metavar="X", type=click.FloatRange(0.001, 1000.0),
-              help="For a log: speed at first, in multiples of its own pace.")  # fmt: skip
-@click.option("-l", "--loop", is_flag=True, help="For a log: begin again at the end.")
+@command(epilog=EPILOG)
 def view(
-    what: str | None,
-    foxglove: bool,
-    host: str,
-    port: int | None,
-    control: bool | None,
-    no_open: bool,
-    rate: float | None,
-    loop: bool,
-) -> None:
+    what: Shown = None,
+    *,
+    foxglove: Annotated[bool, Option("Serve Foxglove and Lichtblick; needs uuv-fleet[foxglove].")] = False,
+    host: Annotated[str, Option("Listen there.", "ADDRESS")] = "127.0.0.1",
+    port: Annotated[int | None, Whole(0, 65535), Option(
+        "By default a free one. With --foxglove it is 8765, if that is free: viewers propose it.", "PORT")] = None,
+    control: Annotated[bool | None, Option(
+        "Whether viewers may inject, heal and pause. Foxglove's protocol knows no passwords, so it is --read-only by "
+        "default with --foxglove.", flag="--control/--read-only")] = None,
+    no_open: Annotated[bool, Option("Do not open a browser.")] = False,
+    rate: Annotated[LogRate, Option(
+        "For a log: speed at first, in multiples of its own pace.", "X", "-r --rate")] = None,
+    loop: LogLoop = False,
+) -> None:  # fmt: skip
     """Show a live run or a log in a viewer.
 
     A page in the browser shows the fleet, its links and its faults. A click on a link or a vehicle

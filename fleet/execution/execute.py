@@ -220,7 +220,9 @@ def _prepare(
         if not in_process:  # which answers nobody
             line.print(f"the run is not registered: {error}; commands find it with --run {directory.path}")
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
-    publisher = LivePublisher(number, directory.observe, text, wait=options.wait) if options.publish else None
+    publisher = (
+        LivePublisher(number, directory.observe, text, wait=options.wait_for_subscribers) if options.publish else None
+    )
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
     links = None if moment is None else moment.links
     writer = LogWriter(log, scenario, options.start, publisher, options.clock, links)
@@ -292,7 +294,7 @@ def _judge(run: _Run) -> None:
     elif run.options.clock is Clock.REAL:
         result.timing = punctuality.measured(timing, run.options.speed or 1.0)
     if result.timing is not None:
-        more.append(punctuality.verdict(result.timing, run.options.most_missed))
+        more.append(punctuality.verdict(result.timing, run.options.max_missed))
     judge_run(run.scenario, run.journal, result, lost=run.runner.middleware_lost, more=more)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from fleet.analysis.punctuality import MOST_MISSED
+from fleet.option import Kind, Limits, Option
 from netem.vehicle_clock import Clock
 
 if TYPE_CHECKING:
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from fleet.hosts.rendezvous import Rendezvous
     from fleet.recorder.start import Start
 
-JOIN_TIMEOUT_S = 300.0  # for agents that somebody else starts
+RunsFolder = Annotated[Path, Option("The folder for run directories.", "DIR", "-o --out")]
+OnlyDirectory = Annotated[bool, Option("Print only the run's directory; failures go to stderr.", flag="-q --quiet")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,20 +25,31 @@ class Options:
 
     In lockstep everyone waits for everyone, and `speed` only holds the run back. With the clock `real` ticks begin by
     the wall clock, `speed` times as fast, and wait for nobody, so agents can be late.
+
+    A field with an `Option` is an option of `fleet run`.
     """
 
-    out: Path = Path("runs")  # where the run directory is made
-    in_process: bool = False
-    clock: Clock = Clock.LOCKSTEP
-    speed: float | None = None  # times real time; None: in lockstep as fast as it goes, else 1
-    quiet: bool = False
-    publish: bool = False  # the journal on zenoh, while the run goes on
-    wait: bool = False  # with `publish`: begin when there is a subscriber
+    out: RunsFolder = Path("runs")
+    in_process: Annotated[bool, Option("One process, no zenoh; the same log, byte for byte.")] = False
+    clock: Annotated[Clock, Option(
+        "real: ticks begin by the wall clock and wait for no agent; the result lists late agents.")] = (
+            Clock.LOCKSTEP)  # fmt: skip
+    speed: Annotated[float | None, Kind.SPEED, Option(
+        "Speed in multiples of real time, or as fast as possible; with --clock real, 1.")] = None  # fmt: skip
+    max_missed: Annotated[float, Kind.SHARE, Option(
+        "With --clock real: the run fails if an agent misses a larger share of its ticks.")] = 0.01  # fmt: skip
+    port: Annotated[int | None, Limits(1, 65535), Option(
+        "Listen on this port of 127.0.0.1, too, for agents that cannot use the run's Unix socket.")] = (
+            None)  # fmt: skip
+    publish: Annotated[bool, Option(
+        "Publish the journal on zenoh during the run; slow listeners do not slow the run.")] = False  # fmt: skip
+    wait_for_subscribers: Annotated[bool, Option(
+        "With --publish, --view or --ros2: begin when there is a listener, such as the page.")] = False  # fmt: skip
+    join_timeout_s: Annotated[float, Kind.TIME, Option(
+        "How long to wait for each external agent.", flag="--join-timeout")] = 300.0  # fmt: skip
+    quiet: OnlyDirectory = False
     on_published: Callable[[Path], None] | None = None  # is told the run's directory when its journal can be read
-    port: int | None = None  # of loopback, where the run's router listens as well
     start: Start | None = None  # where it goes on from another run; in-process only
-    most_missed: float = MOST_MISSED  # share of its ticks that an agent may miss in real time
     start_order: Callable[[list[str]], list[str]] | None = None  # of roles; None: the usual order
-    join_timeout_s: float = JOIN_TIMEOUT_S  # how long to wait for an agent that somebody else starts
     rendezvous: Rendezvous | None = None  # how processes on several hosts meet; None: all are on this one
     relay: MakeRelay | None = None  # makes the run of a scenario with nodes

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 
 from mcap.records import Channel
 
@@ -13,7 +12,7 @@ from fleet.errors import FleetError
 from fleet.logs.decoder import UNITS
 from fleet.logs.tape import Entry, Tape, Track
 from fleet.replay.capture import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
-from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, Player
+from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, PlaybackOptions, Player
 from fleet.replay.topics import Stamp, hand_out, pack
 from fleet.terminal.keyboard import Key, Keyboard
 from fleet.terminal.status_line import StatusLine
@@ -25,20 +24,6 @@ from netem.wire.open_bus import OpenBus, OpenPublication, is_key, matching
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock
 RUN = "replay"  # in keys
-
-
-@dataclass(frozen=True, slots=True)
-class PlaybackOptions:
-    """What to play of a log, and how; times in ns from the log's first message."""
-
-    speed: float = 1.0
-    loop: bool = False
-    start_ns: int = 0
-    end_ns: int | None = None
-    step: bool = False
-    topics: tuple[str, ...] = ()
-    exclude: tuple[str, ...] = ()
-    wait: bool = False
 
 
 class Replay:
@@ -132,7 +117,7 @@ class Replay:
         play_out(player, keyboard, line, self._publish, lambda: self._describe(time.monotonic_ns(), pace), pace.restart)
 
     def _wait(self, line: StatusLine) -> None:
-        while self._wishes.wait and (missing := self.unmatched()):
+        while self._wishes.wait_for_subscribers and (missing := self.unmatched()):
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             if line.due():
                 line.show(f"waiting for a subscriber on {missing[0]}{more}")

@@ -8,12 +8,30 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Annotated, Protocol
+
+from fleet.option import Kind, Option
 
 LATE_NS = 5_000_000  # a message that is handed out so long after it was due has missed its deadline
 SEEK_NS = 5_000_000_000  # log time that a key press seeks
 RATE_STEP = 1.1
 SLOWEST, FASTEST = 0.001, 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackOptions:
+    """What to play of a log, and how: the options of `fleet replay`. Times are in ns from the log's first message."""
+
+    speed: Annotated[float, Kind.PACE, Option("Times the log's own pace; 0: as fast as possible.")] = 1.0
+    start_ns: Annotated[int, Kind.TIME, Option("Begin at this time of the log, e.g. '20 s'.", flag="--start")] = 0
+    end_ns: Annotated[int | None, Kind.TIME, Option("End at this time of the log.", flag="--end")] = None
+    topics: Annotated[tuple[str, ...], Option(
+        "Only this topic, or those that fit: uuv/*/state, link/**; repeatable.", "TOPIC")] = ()  # fmt: skip
+    exclude: Annotated[tuple[str, ...], Option("Not this topic, or those that fit; repeatable.", "TOPIC")] = ()
+    loop: Annotated[bool, Option("Begin again at the end, until Ctrl-C.")] = False
+    step: Annotated[bool, Option("Begin with a pause; right arrow plays a tick, space goes on.")] = False
+    wait_for_subscribers: Annotated[bool, Option("Begin when every key that is played has a subscriber.")] = False
 
 
 class Times(Protocol):

@@ -13,12 +13,13 @@ from typing import Any, Literal, TypedDict, TypeVar
 
 from fleet.errors import printable
 from fleet.execution.stepped_run import override_texts
+from fleet.option import Kind, OptionField, fields
 from fleet.quantities import QuantityError, describe_value, show_time, time_ns
 from fleet.scenario.text.yaml_reader import inline
 from fleet.study.errors import StudyError
 from fleet.study.measures import check_name
 from fleet.study.plan import parse_seeds
-from fleet.study.spec import KeepLogs, Kind, Spec, SpecField, fields
+from fleet.study.spec import KeepLogs, Spec
 from fleet.study.stopping import check_until
 from fleet.study.values import axis, key_and_values, parse_axis, values_text
 from netem.parsing import nearest
@@ -27,7 +28,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 _QUOTED = re.compile(r"'([^']*)'")
 
 
-def read(field: SpecField, value: object, key: str = "") -> Any:
+def read(field: OptionField, value: object, key: str = "") -> Any:
     """Check and convert one value of a field: the whole value, one entry of its list, or the value of one key. `value`:
     a plain value of a file or a script, or a text of the command line. `key`: the key of the value, if the field has
     texts by key. Raises StudyError: the value does not fit the field."""
@@ -132,7 +133,7 @@ def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:
     return given
 
 
-def _of_script(field: SpecField, value: Any) -> Any:
+def _of_script(field: OptionField, value: Any) -> Any:
     if field.kind is Kind.VALUE:
         value = set_values(override_texts(value))
     if field.kind is Kind.TIME:
@@ -145,7 +146,7 @@ def _of_script(field: SpecField, value: Any) -> Any:
     return read(field, value)
 
 
-def _by_keyword(spec: Spec) -> dict[str, SpecField]:
+def _by_keyword(spec: Spec) -> dict[str, OptionField]:
     return {field.keyword: field for field in fields(spec).values() if field.flag is not None}
 
 
@@ -168,7 +169,7 @@ def takes(spec: Spec) -> Callable[[F], F]:
     return describe
 
 
-def _described(field: SpecField) -> str:
+def _described(field: OptionField) -> str:
     unit = " [s]" if field.kind is Kind.TIME else ""
     default = f" By default {field.default}." if field.default not in ("", [], {}, False) else ""
     return _QUOTED.sub(r"`\1`", field.option.help.removesuffix(".")) + f"{unit}.{default}"

@@ -10,49 +10,33 @@ it.
 
 from __future__ import annotations
 
-from enum import Enum
 from math import inf
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
 
 import msgspec
-from msgspec import NODEFAULT, Meta
+from msgspec import Meta
+
+from fleet.option import Kind, Option
 
 KeepLogs = Literal["none", "failed", "all"]
 MOST_ALLOWED = 1_000_000  # seeds of a point
 LARGEST_SEED = 2**63 - 1
 
 
-class Kind(Enum):
-    """The kinds of texts, which `fleet.study.given` checks. The value of a kind stands for the text in `--help`."""
-
-    TEXT = None
-    SCENARIO = "SCENARIO"
-    TIME = "TIME"  # a script gives seconds
-    SEEDS = "SEEDS"
-    VALUES = "KEY=VALUES"
-    ALONG = "KEY=LOW..HIGH"
-    VALUE = "KEY=VALUE"
-    MEASURE = "NAME"
-    UNTIL = "'pass ±5 %'"
-
-
-class Option(NamedTuple):
-    """The words about a field, and its names."""
-
-    help: str  # of `--help` and of Python's `help`
-    metavar: str | None = None  # the word for the value, if the kind of the field has none
-    flag: str | None = ""  # "": `--` and the name of the field; None: only a file can give it
-    keyword: str = ""  # in Python; "": the name of the field
-    later: bool = False  # whether a study that continues may change it
-
-
 Time = Annotated[str, Kind.TIME]
 Seeds = Annotated[str, Kind.SEEDS]
 Values = Annotated[dict[str, str], Kind.VALUES]
-Check = Annotated[str, Option("The check that says whether a run passed; by default all of them do.", "NAME")]
-Set = Annotated[dict[str, str], Kind.VALUE, Option("What is changed in every run; {key} stands for what varies.")]
-Net = Annotated[list[str], Option("Conditions of links in every run; {key} stands for what varies.")]
-Fault = Annotated[list[str], Option("Faults of every run; {key} stands for what varies.")]
+Check = Annotated[
+    str, Kind.CHECK, Option("The check that says whether a run passed; by default all of them do.", "NAME")
+]
+Set = Annotated[dict[str, str], Kind.VALUE, Option(
+    "Override one scenario key in every run, e.g. network.period='200 ms'; {key} stands for what varies.")]  # fmt: skip
+Net = Annotated[list[str], Kind.CONDITION, Option(
+    "Impair links from the start of every run, e.g. '1->2 loss 30%'; repeatable; the last one for a link wins; "
+    "{key} stands for what varies.")]  # fmt: skip
+Fault = Annotated[list[str], Kind.FAULT, Option(
+    "Add a fault to every run in the words of fleet inject, e.g. 'at 20s for 10s partition halves'; repeatable; "
+    "{key} stands for what varies.")]  # fmt: skip
 Timeout = Annotated[Time, Option("The longest wall time of one run, e.g. '5 min'.", later=True)]
 
 
@@ -136,43 +120,6 @@ class BoundarySpec(msgspec.Struct, frozen=True, kw_only=True):
 
 
 Spec = type[StudySpec] | type[BoundarySpec]
-
-
-class SpecField(NamedTuple):
-    name: str
-    shape: Any  # `dict`: texts by key; `list`: several texts; else the type of its one value, or Literal
-    kind: Kind  # of its texts
-    default: Any  # None: it has to be given
-    option: Option
-    limits: tuple[int | None, int | None]  # the least and the largest number; None: there is none
-    words: tuple[str, ...]  # of a Literal
-
-    @property
-    def flag(self) -> str | None:
-        """The option on the command line; None: a file alone has it."""
-        return f"--{self.name.replace('_', '-')}" if self.option.flag == "" else self.option.flag
-
-    @property
-    def keyword(self) -> str:
-        """The keyword in Python. That of a time ends with its unit, `_s`."""
-        return self.option.keyword or (f"{self.name}_s" if self.kind is Kind.TIME else self.name)
-
-
-def fields(spec: Spec) -> dict[str, SpecField]:
-    hints, found = get_type_hints(spec, include_extras=True), {}
-    for name, default in ((each.name, _default(each)) for each in msgspec.structs.fields(spec)):
-        what, *about = get_args(hints[name])
-        kind = next((each for each in about if isinstance(each, Kind)), Kind.TEXT)
-        option = next(each for each in about if isinstance(each, Option))
-        limits: Any = next(((each.ge, each.le) for each in about if isinstance(each, Meta)), (None, None))
-        words = get_args(what) if get_origin(what) is Literal else ()
-        found[name] = SpecField(name, get_origin(what) or what, kind, default, option, limits, words)
-    return found
-
-
-def _default(field: msgspec.structs.FieldInfo) -> Any:
-    made = field.default if field.default_factory is NODEFAULT else field.default_factory()
-    return None if made is NODEFAULT else made
 
 
 def texts(spec: msgspec.Struct) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from fleet.errors import Problem, ScenarioError, printable
+from fleet.option import Kind, OptionField, fields
 from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.text.yaml_reader import (
@@ -27,7 +28,7 @@ from fleet.scenario.trust import TYPED, OverrideOrigin, origin
 from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
 from fleet.study.given import read as read_value
-from fleet.study.spec import Kind, SpecField, StudySpec, fields
+from fleet.study.spec import StudySpec
 from netem.limits import SCENARIO
 from netem.parsing import nearest
 from netem.private_file import read_file
@@ -118,7 +119,7 @@ class _Reader:
             self.tell(node.place, f'"scenario" is missing in "{_KEY}"', "a shipped name, or a file beside this one")
         return values
 
-    def _value(self, field: SpecField, node: Node) -> Any:
+    def _value(self, field: OptionField, node: Node) -> Any:
         if field.shape is list:
             return [self._one(field, item) for item in (node.items if isinstance(node, Items) else [node])]
         if field.shape is not dict:
@@ -128,7 +129,7 @@ class _Reader:
         self.expected("a mapping of keys of the scenario to values", node, field.name)
         return {}
 
-    def _one(self, field: SpecField, node: Node, key: str = "") -> Any:
+    def _one(self, field: OptionField, node: Node, key: str = "") -> Any:
         try:
             value = read_value(field, plain(node), key)
         except StudyError as error:

@@ -11,6 +11,9 @@ import pytest
 from repository import ROOT
 
 from fleet.cli.main import cli
+from fleet.cli.verbs import VERBS
+from fleet.option import fields
+from fleet.replay.player import PlaybackOptions
 from netem.limits import table
 
 TEXTS = ["README.md", "CONTRIBUTING.md"]
@@ -109,6 +112,44 @@ def test_commands_that_pages_give_exist() -> None:
             f"{page}: {text}: {name}" for name in re.findall(r"(?<!\S)--[a-z][a-z0-9-]*", text) if name not in options
         ]
     assert unknown == []
+
+
+# Options of pip, Dask, pytest, ROS 2 and a script of the tests; and one that a page mistypes on purpose.
+OF_OTHERS = {
+    "--no-build-isolation", "--no-dashboard", "--nthreads", "--source", "--fleet-keep", "--start-offset",
+    "--start-paused", "--exclude-topics", "--playback-until-sec", "--jsn", "--hypothesis-seed",
+}  # fmt: skip
+
+
+def options_of(command: click.Command) -> set[str]:
+    """The options of a command and of those below it."""
+    found = {option for each in command.params for option in (*each.opts, *each.secondary_opts)}
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            below = command.get_command(context, name)
+            assert below is not None
+            found |= options_of(below)
+    return found
+
+
+def test_options_that_pages_name_exist() -> None:
+    """In tables and in sentences, also without a command in front."""
+    known, unknown = options_of(cli) | {"--help"} | OF_OTHERS, set()
+    for page in WITH_COMMANDS:
+        text = re.sub(r"```.*?```", "", (ROOT / page).read_text("utf-8"), flags=re.DOTALL)
+        unknown |= {f"{page}: {name}" for name in re.findall(r"`(--[a-z][a-z0-9-]*)", text) if name not in known}
+    assert unknown == set()
+
+
+def test_the_page_about_replay_has_every_option_of_what_is_played() -> None:
+    rows = re.findall(r"^\| `(--[a-z-]+)[^|]*\|", (ROOT / "docs/guide/replay.md").read_text("utf-8"), re.MULTILINE)
+    assert rows == [field.flag for field in fields(PlaybackOptions).values()]
+
+
+def test_the_page_of_commands_shows_every_verb() -> None:
+    shown = re.findall(r"\bfleet ([a-z0-9]+)", (ROOT / "docs/guide/commands.md").read_text("utf-8"))
+    assert sorted(set(VERBS) - set(shown)) == []
 
 
 def test_the_extra_all_has_every_extra_of_a_user() -> None:

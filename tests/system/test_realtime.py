@@ -41,7 +41,7 @@ SLEEPER = """
 
 def test_a_real_run_is_on_time_and_lockstep_or_says_why_not(tmp_path: Path) -> None:
     words = ["paper", "duration=500 ms", "checks={ledger: balanced, middleware_loss: {at_most: 0}}"]
-    found = recorded(tmp_path, *words, in_process=False, clock=Clock.REAL, speed=0.5, most_missed=1.0)
+    found = recorded(tmp_path, *words, in_process=False, clock=Clock.REAL, speed=0.5, max_missed=1.0)
     same = recorded(tmp_path, *words)
     assert (found.status, found.reason) == (Status.PASS, "")
     measured = found.timing

@@ -21,8 +21,8 @@ def _remember(context: click.Context, option: click.Parameter, value: bool) -> b
 
 
 # Read before the other options: a mistake in one of them is printed as JSON, too.
-json_option = click.option("--json", "as_json", is_flag=True, is_eager=True, expose_value=False, callback=_remember,
-                           help="Print one JSON document on stdout.")  # fmt: skip
+JSON = click.Option(["--json", "as_json"], is_flag=True, is_eager=True, expose_value=False, callback=_remember,
+                    help="Print one JSON document on stdout.")  # fmt: skip
 
 
 def json_is_asked() -> bool:

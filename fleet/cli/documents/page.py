@@ -9,40 +9,16 @@ from typing import Any
 
 import msgspec
 
-from fleet.cli.documents import logs, studies
+from fleet.cli.declare import DeclaredCommand
 from fleet.cli.documents.failure import FailedCommand
-from fleet.execution import answers
-from fleet.explanation.why import Why
-from fleet.logs.info import Info
-from fleet.repeat.check_log import JudgedLog
-from fleet.repeat.verify import Verification
-from fleet.repeat.what_if import OtherCommands
-from fleet.result.result import Result
-from fleet.study.rare import RareFound
+from fleet.cli.group import command_of
+from fleet.cli.verbs import VERBS
 
 DOCUMENTS: dict[str, type[msgspec.Struct]] = {
-    "boundary": studies.BoundaryFound,
-    "check": logs.Checked,
-    "check LOG": JudgedLog,
-    "clock": answers.ClockSet,
-    "diff": logs.Compared,
-    "heal": answers.Healed,
-    "info": Info,
-    "inject": answers.Injected,
-    "list": logs.Scenarios,
-    "ls": logs.Runs,
-    "rare": RareFound,
-    "regress": studies.RegressedFolder,
-    "netem": Result,
-    "run": Result,
-    "search": studies.FirstFailing,
-    "shrink": studies.Less,
-    "status": answers.RunStatus,
-    "stop": answers.Stopping,
-    "sweep": studies.Swept,
-    "verify": Verification,
-    "whatif": OtherCommands,
-    "why": Why,
+    words: document
+    for made in map(command_of, sorted(VERBS))
+    if isinstance(made, DeclaredCommand)
+    for words, document in made.document_types().items()
 }
 _HEAD = """# What `--json` prints
 

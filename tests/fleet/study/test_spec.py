@@ -15,13 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fleet
-from fleet.cli.study_options import Asked, spec_options
+from fleet.cli.declare import command
+from fleet.cli.study_options import given_values
 from fleet.errors import printable
+from fleet.option import fields
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.text.yaml_reader import Source, yaml_text
 from fleet.study.given import BoundaryKeywords, SweepKeywords, keywords, seeds_text, set_values
 from fleet.study.plan import plan_of
-from fleet.study.spec import BoundarySpec, Spec, StudySpec, fields
+from fleet.study.spec import BoundarySpec, Spec, StudySpec
 from fleet.study.study_file import is_file, parse_study, study_yaml
 from fleet.study.values import axis
 
@@ -159,16 +161,20 @@ BOUNDARY: dict[str, tuple[list[str], None, Any, Any]] = {
 }
 
 
+def verb_of(spec: Spec, found: dict[str, Any]) -> click.Command:
+    """A command that has the options of a spec, and writes down what was given."""
+
+    def verb(scenario: str, *, asked: Any) -> None:
+        found.update(given_values(asked))
+
+    verb.__annotations__["asked"] = spec
+    return command()(verb)
+
+
 def typed(spec: Spec, args: list[str]) -> dict[str, Any]:
     """What a command gets that has the options of a spec."""
     found: dict[str, Any] = {}
-
-    @click.command()
-    @spec_options(spec)
-    def command(asked: Asked[Any]) -> None:
-        found.update(asked.values)
-
-    result = CliRunner().invoke(command, args, catch_exceptions=False)
+    result = CliRunner().invoke(verb_of(spec, found), ["paper", *args], catch_exceptions=False)
     assert result.exit_code == 0, result.stderr
     return found
 
@@ -189,6 +195,14 @@ def test_each_option_is_the_same_on_the_command_line_in_a_file_in_python_and_in_
         assert name in signature(fleet.boundary).parameters
         assert keywords(BoundarySpec, {name: in_python}) == {name: kept}
         assert name == "seeds" or typed(BoundarySpec, args) == {name: kept}
+
+
+@pytest.mark.parametrize("name", [name for name, (args, *_) in SWEEP.items() if name not in ("zip", "vary", "set")])
+def test_a_text_that_a_terminal_would_obey_is_refused_on_the_command_line(name: str) -> None:
+    """It would be shown on terminals. The texts of `set` and `vary` are read with their keys, when the study begins."""
+    args, *_ = SWEEP[name]
+    result = CliRunner().invoke(verb_of(StudySpec, {}), ["paper", args[0], f"{args[1]}\x1b[2J"])
+    assert result.exit_code == 2
 
 
 def test_a_keyword_that_says_nothing_changes_nothing_and_each_is_explained() -> None:

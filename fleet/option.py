@@ -6,12 +6,13 @@ makes the command line. This module imports little, because every `--help` waits
 
 from __future__ import annotations
 
+import builtins
 import sys
 from dataclasses import MISSING, is_dataclass
 from enum import Enum
 from inspect import get_annotations
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 
 class Kind(Enum):
@@ -103,16 +104,20 @@ def fields(kind: type) -> dict[str, OptionField]:
     """The fields of a dataclass or a struct that have an `Option`. One that only the type checker can read has none."""
     found = {}
     for owner in reversed(kind.__mro__):
-        names = vars(sys.modules[owner.__module__])
-        for name, written in get_annotations(owner).items():
-            try:
-                annotation = eval(written, names) if isinstance(written, str) else written
-            except NameError:
-                continue
-            field = declared(name, annotation, default_of(kind, name))
+        names = _Names(vars(sys.modules[owner.__module__]))
+        hints = get_type_hints(owner, {}, names, include_extras=True)
+        for name in get_annotations(owner):
+            field = declared(name, hints[name], default_of(kind, name))
             if any(isinstance(each, Option) for each in field.about):
                 found[name] = field
     return found
+
+
+class _Names(dict[str, Any]):
+    """The names of a module. Those that only the type checker imports stand for any type."""
+
+    def __missing__(self, name: str) -> Any:
+        return getattr(builtins, name, object)
 
 
 def holds_fields(kind: Any) -> bool:

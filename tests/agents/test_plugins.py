@@ -16,7 +16,7 @@ from importlib.metadata import EntryPoint
 from math import isnan
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from failing_laws import failing
@@ -35,7 +35,7 @@ from agents.errors import AgentError, ControllerError
 from agents.make_agent import make_agent
 from agents.plugins import laws
 from agents.signals import COMMANDED, HEARD
-from fleet.cli.new import KINDS
+from fleet.cli.new import Kinds
 from fleet.errors import RunBroken, ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
@@ -478,7 +478,7 @@ def test_a_law_that_cannot_be_made(module: Callable[[str], str], tmp_path: Path)
 
 @pytest.mark.once
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[] if kind == "controller" else [pytest.mark.slow]) for kind in KINDS]
+    "kind", [pytest.param(kind, marks=[] if kind == "controller" else [pytest.mark.slow]) for kind in get_args(Kinds)]
 )
 def test_templates_run(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What `fleet new` writes runs as it is, does what its check asks, and is resumable."""

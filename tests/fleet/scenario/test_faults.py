@@ -264,16 +264,15 @@ import squall
 import fleet
 from fleet.errors import ScenarioError
 from fleet.cli.completion import injection
-from fleet.scenario.faults.kind import OfVehicles
+from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.fault_words import read_fault
 from fleet.study.targets import targets
-from fleet.view.page import suggestions
 print(read_fault(squall.SquallFault.example))
 context = click.Context(click.Command("inject"))
 context.params = {"what": ("squall",)}
 print([item.value for item in injection(context, None, "")])
-print(suggestions(OfVehicles, "2")["squall"])
+print(KINDS["squall"].offers)
 print(targets("squall", {"vehicles": "1,2", "force": "3 N"}, 4, 1, "f1").items)
 nemesis = "nemesis={mode: swarm, pick: [squall], mean: 1 s}"
 drawn = [load_scenario("small.yaml", [nemesis, "duration=10 s", f"seed={seed}"]).spec.faults for seed in range(4)]
@@ -298,7 +297,7 @@ def test_a_new_kind_is_one_file_and_one_line(tmp_path: Path) -> None:
     assert done.stdout.splitlines() == [
         "{'squall': {'vehicles': '2', 'force': '3 N'}}",
         "['vehicles=', 'force=']",
-        "squall vehicles=2 force=3 N",
+        "(('squall', 'squall vehicles={0} force=3 N'),)",
         "[1, 2]",
         "{'squall'}",
         "{'deaf': 30} True",

@@ -312,7 +312,7 @@ def test_what_found_no_room_before_the_relay_is_lost_there(sent: list[tuple[int,
             continue
         relay.refuse(structs.replace(one, payload=b""), 3)
         expected.update(link for link in LINKS if link[0] == src and (in_water or one.to in (None, link[1])))
-    handed(relay, 10**6)
+    handed(relay, 40_000)
     fates = relay.report(10**9) + relay.close(10**10)
     lost = Cause.QUEUE, 13, "a/b"
     refused = Counter((fate.src, fate.dst) for fate in fates if (fate.cause, fate.size, fate.key) == lost)

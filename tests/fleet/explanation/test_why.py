@@ -14,6 +14,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from in_process_runs import recorded as run
+from marks import slow
 from msgspec import structs
 from refusals import check_commands
 from small_scenario import SMALL
@@ -254,11 +255,13 @@ def test_whoever_makes_the_runs(small_log: Path, why: Why, backwards: bool) -> N
 @pytest.mark.parametrize(
     "faults",
     [
-        "{at: 300 ms, for: 1500 ms, wrench: {vehicles: 1, force: -40 0 0 N}}, {at: 1 s, for: 200 ms, mute: 2}",
         "{at: 400 ms, kill: 1}, {at: 700 ms, for: 300 ms, kill: 1-2}, {at: 1500 ms, kill: 3}",
-        "{at: 300 ms, for: 1 s, pause: 2}, {at: 600 ms, for: 1 s, link 1->2: loss 50 %}",
         "{at: 300 ms, for: 1 s, hold: 1->2}, {at: 600 ms, for: 1 s, partition: 1 / 2 / 3}, {at: 700 ms, stuck: 3}",
-        "{at: 200 ms, for: 900 ms, freeze: 1}, {at: 300 ms, for: 1 s, slow: {vehicles: 2, by: 7 ticks}}",
+        *slow(
+            "{at: 300 ms, for: 1500 ms, wrench: {vehicles: 1, force: -40 0 0 N}}, {at: 1 s, for: 200 ms, mute: 2}",
+            "{at: 300 ms, for: 1 s, pause: 2}, {at: 600 ms, for: 1 s, link 1->2: loss 50 %}",
+            "{at: 200 ms, for: 900 ms, freeze: 1}, {at: 300 ms, for: 1 s, slow: {vehicles: 2, by: 7 ticks}}",
+        ),
     ],
 )
 def test_a_run_that_is_healed_on_the_way_is_that_of_the_healed_scenario(faults: str) -> None:

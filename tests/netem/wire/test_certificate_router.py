@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -207,10 +208,10 @@ def test_another_certificate_opens_nothing_and_none_is_refused(run: Run, tmp_pat
 def test_without_a_certificate_nobody_connects_where_no_vehicle_is_external_either(run: Run, made: Path) -> None:
     server, run.endpoint = certificates.read_server(made), f"tls/127.0.0.1:{free_port()}"
     listener = Listener((run.endpoint,), 20_000, server.ca, server.pair.certificate, server.pair.key)
-    CertificateRouter(run.world, KEYS, (1, 2), listener)
-    run.certified("agent-1")  # which opens nothing
-    with pytest.raises(zenoh.ZError):
-        run.certified(None)
+    with closing(CertificateRouter(run.world, KEYS, (1, 2), listener)):  # open, it would keep Python from ending
+        run.certified("agent-1")  # which opens nothing
+        with pytest.raises(zenoh.ZError):
+            run.certified(None)
 
 
 def test_a_port_that_is_taken_is_said(run: Run, made: Path) -> None:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterable
 
-from agents.process import OneAgent, Running, knock
+from agents.process import OneAgent, Running, probe_until_answered
 from netem.errors import MalformedMessage
-from netem.wire.access import NETEM, WORLD, host_role
 from netem.wire.bundles import bundles
 from netem.wire.bus import Bus
 from netem.wire.codec import encode, expect
+from netem.wire.credentials import NETEM, WORLD, host_role
 from netem.wire.keys import Keys
 from netem.wire.messages import (
     PROTOCOL_VERSION,
@@ -53,7 +53,7 @@ class HostProcess:
         does not answer.
         """
         probe = encode(Hello("host", self._number, 0, PROTOCOL_VERSION, False))
-        knock(probe, {WORLD: self._cmd, NETEM: self._tx}, self._heard)
+        probe_until_answered(probe, {WORLD: self._cmd, NETEM: self._tx}, self._heard)
         ready = [
             BundlePart(i, encode(Hello("agent", i, agent.loop.incarnation, PROTOCOL_VERSION, True)))
             for i, agent in self._agents.items()

@@ -22,8 +22,8 @@ from netem.errors import BusError, MalformedMessage
 from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus
 from netem.wire.keys import Keys
+from netem.wire.mailbox import read_map
 from netem.wire.messages import End
-from netem.wire.shell import read_map
 from world.errors import PluginError
 from world.plugins.loading import admit
 from world.plugins.trust import Permission

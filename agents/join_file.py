@@ -11,9 +11,9 @@ import msgspec
 from msgspec import Meta
 
 from agents.errors import AgentError
+from netem.files import DamagedFile, ExposedFile, parse_json, read_private, write_whole
 from netem.limits import CONNECTION_FILE
-from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private, write_whole
-from netem.wire.access import LEASE_MS, Credentials
+from netem.wire.credentials import LEASE_MS, Credentials
 from netem.wire.messages import PROTOCOL_VERSION
 
 # As zenoh writes it; the socket is that of a run on this host, of this user.

@@ -16,11 +16,11 @@ from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, Run
 from agents.realtime_process import RealtimeAgentProcess
 from netem.errors import BusError
 from netem.vehicle_clock import Clock
-from netem.wire.access import Credentials, agent_role, host_role
 from netem.wire.bus import Bus
+from netem.wire.credentials import Credentials, agent_role, host_role
 from netem.wire.keys import Keys
+from netem.wire.mailbox import Mailbox, end_with_link, read_map
 from netem.wire.session import quiet_zenoh
-from netem.wire.shell import Shell, end_with_link, read_map
 from netem.wire.vehicle_bus import AgentEnd
 from world.errors import PluginError
 
@@ -108,7 +108,7 @@ def _core(bus: Bus, keys: Keys, config: AgentConfig, begin: int) -> AgentCore:
         return make_agent(config)
     except (AgentError, PluginError) as error:
         role = agent_role(config.id)
-        give_up(Shell(bus, role, keys.note(role)), config.id, begin, error)
+        give_up(Mailbox(bus, role, keys.note(role)), config.id, begin, error)
 
 
 def _ask_config(bus: Bus, key: str) -> dict[str, Any]:

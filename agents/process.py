@@ -17,13 +17,13 @@ from msgspec.structs import replace
 from agents.errors import ControllerError
 from agents.loop import AgentLoop, Answer
 from netem.errors import BusError, MalformedMessage, OutOfPlace
-from netem.wire.access import NETEM, WORLD, agent_role
 from netem.wire.bus import Bus
 from netem.wire.codec import encode, expect
+from netem.wire.credentials import NETEM, WORLD, agent_role
 from netem.wire.keys import Keys
+from netem.wire.mailbox import Mailbox
 from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Nav, Receipt, Transmission
 from netem.wire.queues import PutQueue, Stamped
-from netem.wire.shell import Shell
 from netem.wire.vehicle_bus import AgentEnd
 
 # --- running: which of its agents a host is computing, told to the console through a file that both map
@@ -72,10 +72,10 @@ class OneAgent:
         self._bus, self._keys, self.vehicle, self.loop = bus, keys, vehicle, loop
 
     @cached_property
-    def shell(self) -> Shell:
+    def shell(self) -> Mailbox:
         """For notes: most agents never write one."""
         role = agent_role(self.vehicle)
-        return Shell(self._bus, role, self._keys.note(role))
+        return Mailbox(self._bus, role, self._keys.note(role))
 
     @property
     def hello(self) -> Hello:
@@ -139,7 +139,7 @@ class AgentProcess:
         """
         channels = {WORLD: self._navs, NETEM: self._rx}
         probe = self._agent.hello
-        knock(
+        probe_until_answered(
             encode(probe),
             {WORLD: self._cmd, NETEM: self._tx},
             lambda awaited: [role for role in awaited if channels[role].poll() is not None],
@@ -170,7 +170,9 @@ class AgentProcess:
             (self._tx if isinstance(answer, (Transmission, Receipt)) else self._cmd)(encode(answer))
 
 
-def knock(probe: bytes, puts: dict[str, Callable[[bytes], None]], heard: Callable[[list[str]], list[str]]) -> None:
+def probe_until_answered(
+    probe: bytes, puts: dict[str, Callable[[bytes], None]], heard: Callable[[list[str]], list[str]]
+) -> None:
     """Probe until everybody has answered. `puts`: who is to answer, and how a probe gets there. `heard`: which of them
     have answered. Raises BusError if one of them does not answer.
     """
@@ -190,7 +192,7 @@ def knock(probe: bytes, puts: dict[str, Callable[[bytes], None]], heard: Callabl
             raise BusError(f"no answer from world and netem within {READY_TIMEOUT_S:.0f} s")
 
 
-def give_up(shell: Shell, vehicle: int, tick: int, error: Exception) -> NoReturn:
+def give_up(shell: Mailbox, vehicle: int, tick: int, error: Exception) -> NoReturn:
     """End this process; the reason goes to the console in one line, and to the process log with its traceback."""
     shell.note(vehicle, tick, f"controller failed: {error}")
     if error.__cause__ is not None:

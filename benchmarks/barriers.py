@@ -9,8 +9,8 @@ from statistics import median
 from fleet.errors import FleetError
 from fleet.processes.children import Children, RunFolder
 from netem.private_folder import PrivateFolder
-from netem.wire.access import Credentials, agent_role, generate
 from netem.wire.bus import Bus
+from netem.wire.credentials import Credentials, agent_role, generate
 from netem.wire.keys import Keys
 
 MESSAGE = b"x" * 100

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fleet.logs.open_log import open_log as open_log
     from fleet.pictures.gallery import plot as plot
     from fleet.result.result import Result as Result
-    from fleet.rl.offered import parallel_env as parallel_env
+    from fleet.rl.parallel_env import parallel_env as parallel_env
     from fleet.study.study import Boundary as Boundary
     from fleet.study.study import Study as Study
     from fleet.study.study import boundary as boundary
@@ -33,7 +33,7 @@ _OFFERED = {
     "boundary": "fleet.study.study",
     "Study": "fleet.study.study",
     "open_study": "fleet.study.study",
-    "parallel_env": "fleet.rl.offered",
+    "parallel_env": "fleet.rl.parallel_env",
     "plot": "fleet.pictures.gallery",
     "sweep": "fleet.study.study",
 }

@@ -8,8 +8,8 @@ m ticks. In the round that begins at tick k, that is in the ticks k to k + m - 1
 2. The MAC (medium access control) fixes the starts in the round, at whole ticks and never before the modem is free.
    `aloha`: a seeded random back-off after the payload is in the buffer and the modem is free. `csma`: the same, but if
    a modem hears a transmission at its start, it draws another back-off after the end of that transmission. `tdma`: at
-   the start of the vehicle's next slot by its own clock (`netem.access`). If the start is in a later round, the payload
-   stays in the buffer.
+   the start of the vehicle's next slot by its own clock (`netem.medium_access`). If the start is in a later round, the
+   payload stays in the buffer.
 3. All distances are between the positions at round tick k; a vehicle without an agent keeps its last known position.
    The active faults, and which vehicles have an agent, are also those at tick k. So a run with faults that a user
    injected while it was running can be repeated.
@@ -44,15 +44,15 @@ from __future__ import annotations
 from bisect import insort
 from collections.abc import Sequence
 
-from netem.access import Access
 from netem.air import Air
 from netem.config import NetemConfig
 from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults
 from netem.link_trace import TRY
 from netem.medium import Links, MediumRound
+from netem.medium_access import Access
 from netem.ranges import Query, make_ranges
-from netem.station import ANSWER, Answer, Reception, Station, Transfer, Waiting
+from netem.station import ANSWER, Answer, QueuedPayload, Reception, Station, Transfer
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
 
@@ -139,9 +139,9 @@ class AcousticChannel:
         else:
             insort(self._stations[src].late, sent)
 
-    def _enter(self, tick: int, src: int, payload: bytes, later: int) -> Waiting:
+    def _enter(self, tick: int, src: int, payload: bytes, later: int) -> QueuedPayload:
         station = self._stations[src]
-        sent = Waiting(tick + later, station.seq, tick, payload)
+        sent = QueuedPayload(tick + later, station.seq, tick, payload)
         station.seq += 1
         for dst in self._links.receivers[src]:
             self._links.ledger.enter((src, dst), sent=1)
@@ -224,7 +224,7 @@ class AcousticChannel:
         station.late, station.waiting, station.start_tick = [], [], None
 
     def _lose_unsent(
-        self, src: int, sent: Waiting, tick: int, cause: Cause, receivers: Sequence[int] | None = None
+        self, src: int, sent: QueuedPayload, tick: int, cause: Cause, receivers: Sequence[int] | None = None
     ) -> None:
         for dst in self._links.receivers[src] if receivers is None else receivers:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
@@ -269,7 +269,9 @@ class AcousticChannel:
 
     # ---------------------------------------------------------------------------------- the channel
 
-    def _transmit(self, src: int, start: int, sent: Waiting, transfer: Transfer | None, faults: ActiveFaults) -> None:
+    def _transmit(
+        self, src: int, start: int, sent: QueuedPayload, transfer: Transfer | None, faults: ActiveFaults
+    ) -> None:
         tick_ns = self._config.tick_ns
         airtime = self._acoustic.modem_of(src).airtime_ns(len(sent.payload))
         number = sent.seq + (TRY * (transfer.tried - 1) if transfer is not None else 0)

@@ -8,11 +8,11 @@ from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.vehicle_clock import Clock
-from netem.wire.access import Credentials, Members
 from netem.wire.bus import Bus
+from netem.wire.credentials import Credentials, Members
 from netem.wire.keys import Keys
+from netem.wire.mailbox import end_with_link
 from netem.wire.session import quiet_zenoh
-from netem.wire.shell import end_with_link
 
 
 def run(

@@ -21,11 +21,12 @@ from netem.faults import read_faults
 from netem.lives import Absence, Lives
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
-from netem.wire.access import NETEM, Members
-from netem.wire.bundles import Hosts
+from netem.wire.bundles import AgentGroups
 from netem.wire.bus import PART_BYTES, Bus, Respond, split
 from netem.wire.codec import encode, expect
+from netem.wire.credentials import NETEM, Members
 from netem.wire.keys import Keys, vehicle_of
+from netem.wire.mailbox import Mailbox, Probes, read_map
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     Bundle,
@@ -40,7 +41,6 @@ from netem.wire.messages import (
     Round,
     Transmission,
 )
-from netem.wire.shell import Probes, Shell, read_map
 
 log = logging.getLogger(__name__)
 
@@ -56,9 +56,9 @@ class NetworkProcess(ABC, Generic[R]):
 
     def __init__(self, bus: Bus, keys: Keys, config: NetemConfig, rounds: R, members: Members = ()) -> None:
         self._keys, self._round_key = keys, keys.round
-        self._hosts = Hosts(bus, keys, members, keys.tx)
+        self._hosts = AgentGroups(bus, keys, members, keys.tx)
         self._rounds = rounds
-        self._shell = Shell(bus, NETEM, keys.note(NETEM))
+        self._shell = Mailbox(bus, NETEM, keys.note(NETEM))
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False

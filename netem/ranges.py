@@ -68,7 +68,7 @@ class Query(NamedTuple):
     kind: int
 
 
-class Kept(Struct, array_like=True):
+class HeldRange(Struct, array_like=True):
     """A packet that waits for its range."""
 
     deadline_tick: int
@@ -81,7 +81,7 @@ class NoRanges:
 
     def __init__(self) -> None:
         self.queries: list[Query] = []  # that are to be sent
-        self.kept: list[Kept] = []
+        self.kept: list[HeldRange] = []
 
     def begin_round(self, round_: MediumRound) -> None:
         """Take the time of a round, and forget what vehicles without an agent had to send."""
@@ -176,7 +176,7 @@ class TwoWay(OneWay):
         waits_ns = 2 * acoustic.delay_ns(max(modem.max_range, other.max_range))
         waits_ns += sum(m.airtime_ns(self._ranging.request) + round(m.processing * 1e9) for m in (modem, other))
         deadline = asks + -(-waits_ns // tick_ns) + 3  # of which each start and end is at a whole tick
-        self.kept.append(Kept(deadline, asks, packet))
+        self.kept.append(HeldRange(deadline, asks, packet))
         self.queries.append(Query(asks, packet.dst, packet.src, packet.seq, REQUEST))
         return []
 

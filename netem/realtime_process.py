@@ -8,9 +8,10 @@ from time import monotonic_ns
 
 from netem.process import NetworkProcess
 from netem.realtime_rounds import RealtimeRounds
-from netem.wire.access import NETEM
 from netem.wire.bus import Bus, Respond
+from netem.wire.credentials import NETEM
 from netem.wire.keys import Keys
+from netem.wire.mailbox import Item, read_map
 from netem.wire.messages import (
     Message,
     Pace,
@@ -18,7 +19,6 @@ from netem.wire.messages import (
     Round,
     Transmission,
 )
-from netem.wire.shell import Item, read_map
 
 REST_S = 0.1
 MOST_REST = 10_000

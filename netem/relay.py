@@ -30,7 +30,7 @@ from netem.wire.messages import Fate, MeasuredRange
 PUT, DELETE, QUERY, REPLY, DATAGRAM = ("put", "delete", "query", "reply", "datagram")
 
 
-class Carried(Fate, frozen=True):
+class MessageFate(Fate, frozen=True):
     """The fate of a packet, and the message that it belongs to."""
 
     key: str = ""  # zenoh's, or `udp/<port>`
@@ -82,7 +82,7 @@ class _Outbox(Transit):
         self._parts: dict[tuple[int, int, int, int], PacketPart] = {}  # of what a fault holds
         self.sizes: Counter[Link] = Counter()  # bytes under way
         self.full: set[Link] = set()  # links that have lost something because so much was under way
-        self.final: list[Carried] = []
+        self.final: list[MessageFate] = []
         self.begin_ns = self.reported = 0  # nothing becomes final before this tick any more
         self._count = 0
 
@@ -126,9 +126,9 @@ class _Outbox(Transit):
         self.final.append(carried(fate, part, max(fate.final_tick, self.reported)))
 
 
-def carried(fate: Fate, part: PacketPart, final_tick: int) -> Carried:
+def carried(fate: Fate, part: PacketPart, final_tick: int) -> MessageFate:
     """A fate with its message; `fate.payload` is the packet as it was sent, and is not kept."""
-    return Carried(
+    return MessageFate(
         final_tick, fate.src, fate.dst, fate.seq, fate.copy, fate.sent_tick, fate.due_tick, fate.delay_ns,
         fate.cause, fate.corrupted, b"", None, part.message.key, part.message.kind, len(fate.payload),
     )  # fmt: skip
@@ -243,7 +243,7 @@ class Relay:
         del self._leaving[id(due)]
         self._end(due.packet, due.part, at_ns, Cause.DELIVERED if delivered else Cause.RECEIVER)
 
-    def report(self, until: int) -> list[Carried]:
+    def report(self, until: int) -> list[MessageFate]:
         """The fates that became final up to a tick, in the order of the log."""
         final = [fate for fate in self._out.final if fate.final_tick <= until]
         self._out.final = [fate for fate in self._out.final if fate.final_tick > until]
@@ -251,7 +251,7 @@ class Relay:
         final.sort(key=fate_order)
         return final
 
-    def close(self, end_tick: int) -> list[Carried]:
+    def close(self, end_tick: int) -> list[MessageFate]:
         """The fates of everything that is left when the run ends before a tick is started."""
         final = self.report(end_tick - 1)
         if self._water is not None:

@@ -28,10 +28,10 @@ from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, QUERIES_WAITING, RELAY_WAITING, TOKENS
-from netem.relay import DATAGRAM, PUT, QUERY, REPLY, Carried, DueMessage, Relay, RobotMessage
+from netem.relay import DATAGRAM, PUT, QUERY, REPLY, DueMessage, MessageFate, Relay, RobotMessage
 from netem.wire import robots
 from netem.wire.queues import Inlet
-from netem.wire.robots import Meeting, Robot, Ticket, Token, Unfit
+from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, Unfit
 from netem.wire.session import quiet_zenoh
 
 MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
@@ -62,7 +62,7 @@ class Setup(Struct):
     """The settings of the process; they are pickled."""
 
     config: NetemConfig
-    robots: tuple[Meeting, ...]
+    robots: tuple[RobotEndpoint, ...]
     carry: tuple[str, ...]
     ports: tuple[Port, ...] = ()
     places: dict[int, tuple[float, ...]] = {}
@@ -75,7 +75,7 @@ class Setup(Struct):
     ticks: int = 2**62  # of the run, if nobody ends it
 
 
-class Said(Struct):
+class LoggedMessage(Struct):
     """A message as its robot sent it, for the log."""
 
     tick: int
@@ -90,8 +90,8 @@ class RelayReport(Struct):
     """The events up to a tick."""
 
     until: int
-    fates: list[Carried]
-    said: list[Said] = []
+    fates: list[MessageFate]
+    said: list[LoggedMessage] = []
     placed: list[tuple[int, str, bytes]] = []  # robot, key, and message of a topic that says where it is
     notes: list[str] = []
     closing: dict[str, Any] | None = None  # with the last report: counts and lateness
@@ -136,7 +136,7 @@ class RelayProcess:
         self._senders: dict[int, tuple[Any, int]] = {}  # by robot: where its datagrams come from, and since when
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
-        self._said: list[Said] = []
+        self._said: list[LoggedMessage] = []
         self._inlets = {access.number: Inlet(queue.put) for access in setup.robots}
         self._refused: Counter[int] = Counter()  # by robot: messages that found no room on their way here
         self._waiting: dict[Ticket, int] = {}  # oldest first, with the bytes of its query; without us it would end
@@ -256,7 +256,7 @@ class RelayProcess:
         if self._setup.payloads and len(message.payload) <= MOST_KEPT_BYTES:
             encoding = str(message.what.encoding) if message.kind == PUT else ""
             tick = self._relay.tick(message.at_ns)
-            self._said.append(Said(tick, message.src, message.key, message.kind, encoding, message.payload))
+            self._said.append(LoggedMessage(tick, message.src, message.key, message.kind, encoding, message.payload))
         self._relay.take(message)
 
     def _refuse(self) -> None:

@@ -12,7 +12,7 @@ ANSWER = -1  # the `copy` of a reception that is an acknowledgement
 REQUEST, REPLY = -2, -3  # likewise of two-way ranging
 
 
-class Waiting(NamedTuple):
+class QueuedPayload(NamedTuple):
     """A payload that is not yet transmitted.
 
     `sent_tick` is the round tick of the payload; at `ready_tick` it enters the modem (later if the agent is slow).
@@ -28,8 +28,8 @@ class Station(Struct, array_like=True):
     """The modem of one vehicle: its transmit buffer, the payloads still on their way to it, and its next start."""
 
     vehicle: int
-    late: list[Waiting] = []  # not yet in the modem, in order of ready_tick
-    waiting: list[Waiting] = []  # the transmit buffer, oldest first
+    late: list[QueuedPayload] = []  # not yet in the modem, in order of ready_tick
+    waiting: list[QueuedPayload] = []  # the transmit buffer, oldest first
     start_tick: int | None = None  # of the first payload in the buffer; None: the buffer is empty
     free_tick: int = 0  # first tick at which the modem can start again
     seq: int = 0  # number of payloads taken from the agent so far
@@ -39,7 +39,7 @@ class Station(Struct, array_like=True):
 class Transfer(Struct, array_like=True):
     """A payload that a modem sends to one neighbour after the other, until each has acknowledged it."""
 
-    sent: Waiting
+    sent: QueuedPayload
     to: list[int]  # neighbours to whom it is still sent; the first is addressed now
     tried: int = 0  # transmissions to the first so far
     deadline_tick: int = 0  # when the last of them counts as failed

@@ -7,14 +7,14 @@ from socket import socket
 from typing import NamedTuple
 
 from netem.vehicle_clock import Clock
-from netem.wire.access import WORLD as WORLD
-from netem.wire.access import Credentials, Listener, Members
 from netem.wire.bus import Bus
 from netem.wire.certificate_router import CertificateRouter
+from netem.wire.credentials import WORLD as WORLD
+from netem.wire.credentials import Credentials, Listener, Members
 from netem.wire.keys import Keys
+from netem.wire.mailbox import end_with_link
 from netem.wire.refusals import Refusals, listen
 from netem.wire.session import quiet_zenoh
-from netem.wire.shell import end_with_link
 from world.config import WorldConfig
 from world.lockstep import Lockstep
 from world.process import WorldProcess

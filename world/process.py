@@ -16,12 +16,13 @@ import msgpack
 
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
-from netem.wire.access import WORLD as WORLD
-from netem.wire.access import Members, agent_role, host_role
-from netem.wire.bundles import Hosts
+from netem.wire.bundles import AgentGroups
 from netem.wire.bus import PART_BYTES, Bus, Respond, split
 from netem.wire.codec import encode, expect
+from netem.wire.credentials import WORLD as WORLD
+from netem.wire.credentials import Members, agent_role, host_role
 from netem.wire.keys import Keys, vehicle_of
+from netem.wire.mailbox import Mailbox, Probes, read_map
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     Bundle,
@@ -42,7 +43,6 @@ from netem.wire.messages import (
 )
 from netem.wire.queues import PutQueue
 from netem.wire.refusals import Refusals
-from netem.wire.shell import Probes, Shell, read_map
 from netem.wire.vehicle_bus import Inbound
 from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out
@@ -184,9 +184,9 @@ class WorldProcess:
         self._state = run.state
         self._ids = run.state.ids
         most = len(self._ids) if most_asked is None else most_asked
-        self._hosts = hosts = Hosts(bus, keys, members, keys.cmd)
+        self._hosts = hosts = AgentGroups(bus, keys, members, keys.cmd)
         self._turns = Turns(run.config.round_ticks, most, lambda i, nav: -hosts.of(i, nav.incarnation) or i)
-        self._shell = Shell(bus, WORLD, keys.note(WORLD))
+        self._shell = Mailbox(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)
         self._frame = bus.publisher(keys.frame)

@@ -7,9 +7,9 @@ from time import monotonic_ns
 from typing import Any
 
 from netem.histogram import Histogram
-from netem.wire.access import WORLD as WORLD
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
+from netem.wire.credentials import WORLD as WORLD
 from netem.wire.keys import Keys, tail
 from netem.wire.messages import Command, Nav, Pace
 from netem.wire.refusals import Refusals

@@ -13,9 +13,9 @@ from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.logs import PictureFormats
 from fleet.cli.study_options import (
-    Making,
     MakingStudy,
     StudiesFolder,
+    WorkerOptions,
     axis_columns,
     cell,
     progress_pieces,
@@ -95,7 +95,7 @@ def _opened(name: str, asked: BoundarySpec) -> tuple[Borders, Modules, float] | 
     return borders, modules_again(borders.store), seconds(timeout)
 
 
-def _prepared(name: str, asked: BoundarySpec, out: Path, how: Making) -> tuple[Borders, Modules, float]:
+def _prepared(name: str, asked: BoundarySpec, out: Path, how: WorkerOptions) -> tuple[Borders, Modules, float]:
     from fleet.study.borders import Borders, border_plan, prepare_borders
     from fleet.study.study import new_directory
 
@@ -107,7 +107,7 @@ def _prepared(name: str, asked: BoundarySpec, out: Path, how: Making) -> tuple[B
     return Borders(store), modules, asked.timeout_s
 
 
-def _run(borders: Borders, modules: Modules, timeout_s: float, how: Making) -> None:
+def _run(borders: Borders, modules: Modules, timeout_s: float, how: WorkerOptions) -> None:
     from fleet.study.borders import find_borders
 
     directory, most = borders.store.directory, len(borders.store.record.seeds)
@@ -121,7 +121,7 @@ def _run(borders: Borders, modules: Modules, timeout_s: float, how: Making) -> N
             raise
 
 
-def _picture(borders: Borders, formats: tuple[str, ...], how: Making) -> Path | None:
+def _picture(borders: Borders, formats: tuple[str, ...], how: WorkerOptions) -> Path | None:
     """Draw the borders; returns the first file, or None if that fails, with a message."""
     from fleet.study.borders import theory
     from fleet.study.errors import StudyError

@@ -11,7 +11,7 @@ import click
 from fleet.cli.changes import Changes
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
-from fleet.cli.documents.output import give, json_is_asked, print_document
+from fleet.cli.documents.output import json_is_asked, print_document, print_result
 from fleet.cli.types import NoProgress, Trust
 from fleet.option import Option
 from fleet.terminal.status_line import showing, showing_steps
@@ -104,7 +104,7 @@ def _check_log(log: Path, overrides: tuple[str, ...]) -> NoReturn:
         for verdict in failed_first(found.verdicts)
     ]
     missing = f", as far as the file goes: {found.missing}" if found.missing else ""
-    give(found, *lines, f"judged up to t = {found.until_s:g} s of {found.end_s:g} s{missing}")
+    print_result(found, *lines, f"judged up to t = {found.until_s:g} s of {found.end_s:g} s{missing}")
     sys.exit(0 if found.passed else 1)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.cli.sessions import ending
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.replay.live_journal import LiveJournal
 from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.status_line import StatusLine, showing
@@ -62,7 +62,7 @@ def _serve_log(source: LogSource, host: str, port: int | None, line: StatusLine,
     from fleet.view.foxglove_log import LogBridge  # needs foxglove-sdk
 
     with showing(f"reading {source.path}") as tell:
-        tape = Tape(source.path, tell)
+        tape = SeekableLog(source.path, tell)
     with ending() as sessions:
         if tape.missing:
             line.print(f"warning: {source.path}: {tape.missing}")

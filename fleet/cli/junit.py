@@ -17,8 +17,8 @@ from fleet.option import Option
 
 if TYPE_CHECKING:
     from fleet.result.result import Result
-    from fleet.study.failures import FoundFailure, Regressed
-    from fleet.study.search import Searched
+    from fleet.study.failures import FoundFailure, RegressionResult
+    from fleet.study.search import SearchResult
     from fleet.study.store import Store
 
 Junit = Annotated[Path | None, FILE, Option("Also write the result as a JUnit file, for CI services.")]
@@ -68,7 +68,7 @@ def of_study(store: Store) -> list[JUnitCase]:
     return [*cases, *(JUnitCase(one.name, "" if one.hits else one.words) for one in reached(store))]
 
 
-def of_search(found: Searched, kept: Sequence[FoundFailure], again: str) -> list[JUnitCase]:
+def of_search(found: SearchResult, kept: Sequence[FoundFailure], again: str) -> list[JUnitCase]:
     """A case for each kind of failure, and one for each check that some run must reach. No failure: one passed case."""
 
     lines = {failure.check: failure.paste for failure in kept}
@@ -83,7 +83,7 @@ def of_search(found: Searched, kept: Sequence[FoundFailure], again: str) -> list
     ]
 
 
-def of_regress(found: Sequence[Regressed]) -> list[JUnitCase]:
+def of_regress(found: Sequence[RegressionResult]) -> list[JUnitCase]:
     """A case for each scenario of a folder."""
     return [
         JUnitCase(
@@ -122,7 +122,7 @@ def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
     """Write the file, as a whole or not at all, if one was asked for. Raises FleetError: it cannot be written."""
     if path is None:
         return
-    from netem.private_file import write_whole
+    from netem.files import write_whole
 
     try:
         write_whole(path, junit_text(suite, cases), 0o666)

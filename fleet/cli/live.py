@@ -13,7 +13,7 @@ import click
 from fleet.cli import completion
 from fleet.cli.completion import CLOCK_WORDS
 from fleet.cli.declare import command
-from fleet.cli.documents.output import give, json_is_asked, print_document
+from fleet.cli.documents.output import json_is_asked, print_document, print_result
 from fleet.cli.group import USAGE
 from fleet.option import Option
 from fleet.terminal.status_line import rewritable
@@ -183,7 +183,7 @@ def inject(
     until = f"until {found.to_s:.2f} s"
     if found.until_healed:
         until = f"until healed, at the latest the end at {found.to_s:g} s"
-    give(found, f"{found.run}: {found.id}: {found.what}, from t = {found.from_s:.2f} s {until}")
+    print_result(found, f"{found.run}: {found.id}: {found.what}, from t = {found.from_s:.2f} s {until}")
 
 
 @command(document="fleet.execution.answers.Healed")
@@ -208,7 +208,7 @@ def heal(
         if run is not None or len(words) != 1 or name is None:
             raise
         raise RemoteError(f"{error}; and no live run is called {name!r}", error.status) from None
-    give(found, f"{found.run}: healed {', '.join(found.healed) or 'nothing'} at t = {found.at_s:.2f} s")
+    print_result(found, f"{found.run}: healed {', '.join(found.healed) or 'nothing'} at t = {found.at_s:.2f} s")
 
 
 @command(document="fleet.execution.answers.ClockSet")
@@ -245,7 +245,7 @@ def clock(
         raise click.BadParameter(f"expected a number above 0, got {value!r}", param_hint="VALUE") from None
     found = answer(ClockSet, find(run, to_act=True), "clock", do=do, value=number)
     onward = "; fleet clock resume goes on" if found.clock == "paused" else ""
-    give(found, f"{found.run}: {found.clock}, t = {found.at_s:.2f} s{onward}")
+    print_result(found, f"{found.run}: {found.clock}, t = {found.at_s:.2f} s{onward}")
 
 
 @command(document="fleet.execution.answers.Stopping")
@@ -261,7 +261,7 @@ def stop(name: RunName = None, *, run: RunOption = None) -> None:
     from fleet.execution.connection import find
 
     found = answer(Stopping, find(_one(name, run), to_act=True), "stop")
-    give(found, f"{found.run}: stopping at t = {found.at_s:.2f} s")
+    print_result(found, f"{found.run}: stopping at t = {found.at_s:.2f} s")
 
 
 EVERY_S = 1.0

@@ -11,7 +11,7 @@ import click
 
 from fleet.cli import completion
 from fleet.cli.declare import command
-from fleet.cli.documents.output import give
+from fleet.cli.documents.output import print_result
 from fleet.cli.log_argument import Log, newest_log
 from fleet.cli.types import (
     FILE,
@@ -341,7 +341,7 @@ def info(log: Log, *, quiet: NoProgress = False) -> None:
 
     with showing(f"reading {log}") as tell:
         found = read_info(log, tell)
-    give(found, info_text(found))
+    print_result(found, info_text(found))
 
 
 @command()

@@ -52,14 +52,14 @@ def replay(
       fleet replay robot.mcap --loop --start '20 s' --end '30 s' --connect tcp/127.0.0.1:7447
     """
     from fleet.logs.reader import log_path
-    from fleet.logs.tape import Tape
+    from fleet.logs.seekable_log import SeekableLog
     from fleet.replay.playback import Replay
     from fleet.terminal.keyboard import Keyboard
 
     if options.step and not Keyboard.possible():
         raise click.UsageError("--step needs a terminal, because a key press continues it")
     with showing(f"reading {log}", quiet=quiet) as tell:
-        tape = Tape(log_path(log), tell)
+        tape = SeekableLog(log_path(log), tell)
     played = Replay(tape, options)
     with exit_status(3), ending() as sessions, StatusLine(quiet=quiet) as line:
         if tape.missing:
@@ -203,8 +203,8 @@ def _observer(run: str) -> tuple[str, Any, str]:
     from fleet.execution.connection import RemoteError, choose
     from fleet.execution.directory import OBSERVE
     from fleet.replay.observed import read_observed
-    from netem.private_file import DamagedFile
-    from netem.wire.access import Credentials
+    from netem.files import DamagedFile
+    from netem.wire.credentials import Credentials
     from netem.wire.keys import Keys
 
     try:

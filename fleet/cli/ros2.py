@@ -18,7 +18,7 @@ from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT, Distribution, Whole
 from fleet.errors import FleetError
 from fleet.option import Option
-from fleet.processes.beside import begin, end, line_of, pipe
+from fleet.processes.side_process import begin, end, line_of, pipe
 from fleet.terminal.status_line import StatusLine, showing
 from fleet.terminal.table import say
 
@@ -163,7 +163,7 @@ def _serve_log(
     *,
     loop: bool,
 ) -> None:
-    from fleet.logs.tape import Tape
+    from fleet.logs.seekable_log import SeekableLog
     from fleet.ros2.bridge import play_log
     from fleet.ros2.translation import Translation
     from fleet.ros2.types import types_of
@@ -172,7 +172,7 @@ def _serve_log(
 
     types = types_of(distro)
     with showing(f"reading {source.path}") as tell:
-        tape = Tape(source.path, tell)
+        tape = SeekableLog(source.path, tell)
     translation = Translation(types, {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()})
     if not translation.vehicles:
         raise FleetError(f"{source.path} holds nothing that has a topic in ROS 2: it is no log of a run")

@@ -18,9 +18,9 @@ from fleet.cli import junit as cli_junit
 from fleet.cli.changes import Changes
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
-from fleet.cli.documents.output import give, json_is_asked, print_document
+from fleet.cli.documents.output import json_is_asked, print_document, print_result
 from fleet.cli.junit import Junit
-from fleet.cli.study_options import LeastFile, Making
+from fleet.cli.study_options import LeastFile, WorkerOptions
 from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Force, Whole
 from fleet.errors import printable
 from fleet.option import Option
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
     from fleet.scenario.text.overrides import Override
     from fleet.study.engine import Engine
-    from fleet.study.failures import FoundFailure, Regressed
+    from fleet.study.failures import FoundFailure, RegressionResult
     from fleet.study.modules import Modules
     from fleet.study.rare import RareFound
-    from fleet.study.search import Searched
+    from fleet.study.search import SearchResult
     from fleet.study.shrink import Shrunk
 
 MOST_RUNS = 2000
@@ -42,7 +42,7 @@ MOST_FAULTS = 4  # that a line names
 SEEDS = "seeds"  # what a search makes first
 
 
-@command(document="fleet.cli.documents.studies.Less")
+@command(document="fleet.cli.documents.studies.ShrunkScenario")
 def shrink(
     failing: Annotated[str, scenarios, Option("", "LOG|SCENARIO")],
     *,
@@ -52,7 +52,7 @@ def shrink(
     out: LeastFile = None,
     force: Force = False,
     budget: Annotated[int, Whole(1), Option("Stop after this number of runs.", "RUNS")] = MOST_RUNS,
-    how: Making,
+    how: WorkerOptions,
 ) -> None:  # fmt: skip
     """Make a run that fails a check as small as possible.
 
@@ -109,7 +109,7 @@ def place_of(scenario: Scenario, out: Path | None, *, force: bool) -> Path:
 def write_least(scenario: Scenario, path: Path) -> None:
     """Write the least scenario. Raises StudyError: it cannot be written; then it is printed on stderr."""
     from fleet.study.errors import StudyError
-    from netem.private_file import write_whole
+    from netem.files import write_whole
 
     text = scenario.to_yaml()
     try:
@@ -206,7 +206,7 @@ def search(
     keep: Annotated[Path | None, FOLDER, Option(
         "Continue after a failure; keep the smallest scenario of each kind of failure in DIR.")] = None,
     junit: Junit = None,
-    how: Making,
+    how: WorkerOptions,
 ) -> None:  # fmt: skip
     """Try seeds of a nemesis until a check fails, and make that run as small as possible.
 
@@ -256,11 +256,11 @@ class _Hunt:
     def __init__(self, tried: Scenario, check: str | None, keep: Path | None, path: Path) -> None:
         """Prepare it; `path`: of the least scenario, or of the folder that keeps several."""
         from fleet.study.failures import FailureFolder, FoundFailure
-        from fleet.study.search import Searched
+        from fleet.study.search import SearchResult
 
         self._tried, self._check, self.path = tried, check, path
         self._folder = None if keep is None else FailureFolder(keep)
-        self.found = Searched(tried.name, tried.seed)
+        self.found = SearchResult(tried.name, tried.seed)
         self.least: Shrunk | None = None
         self.kept = list[FoundFailure]()
 
@@ -292,7 +292,7 @@ class _Hunt:
             self._shrink(found, found.scenario, engine, tell, modules)
 
     def _shrink(
-        self, found: Searched, failing: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules
+        self, found: SearchResult, failing: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules
     ) -> None:
         from fleet.study.shrink import Shrinker
 
@@ -316,7 +316,7 @@ def _tried(name: str, changes: Iterable[str | Override], mode: NemesisMode) -> t
 
 
 def _print_search(
-    found: Searched, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure]
+    found: SearchResult, least: Shrunk | None, check: str | None, path: Path, kept: list[FoundFailure]
 ) -> None:
     if json_is_asked():
         from fleet.cli.documents.studies import first_failing
@@ -360,7 +360,7 @@ def regress(
     *,
     accept: Annotated[bool, Option("Expect the present verdicts from now on.")] = False,
     junit: Junit = None,
-    how: Making,
+    how: WorkerOptions,
 ) -> None:
     """Repeat the failures that a search has kept, and compare their verdicts with the expected ones.
 
@@ -396,7 +396,7 @@ def regress(
         sys.exit(1)
 
 
-def _show_regressed(found: Sequence[Regressed]) -> None:
+def _show_regressed(found: Sequence[RegressionResult]) -> None:
     for one in found:
         failure = one.failure
         wanted = f"fails {failure.check}" if failure.expected == "fail" else "passes"
@@ -422,7 +422,7 @@ def rare(
     changes: Changes,
     out: Annotated[Path | None, FILE, Option(
         "The file for estimates; a later call continues it. By default NAME-rare.json.", flag="-o --out")] = None,
-    how: Making,
+    how: WorkerOptions,
 ) -> None:  # fmt: skip
     """Estimate how often a check fails, if failures are too rare to count.
 
@@ -446,7 +446,7 @@ def rare(
     with how.showing(pieces) as tell, how.engine() as engine:
         event = RareEvent(loaded, check, Splitting(effort), engine.carry(modules))
         found = event.run(engine, tell, repeats, path, inf if budget is None else budget / 1e9)
-    give(found, *_rare_lines(found))
+    print_result(found, *_rare_lines(found))
 
 
 def _rare_lines(found: RareFound) -> Iterator[str]:

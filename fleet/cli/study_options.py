@@ -31,7 +31,7 @@ LeastFile = Annotated[
 
 
 @dataclass(frozen=True, slots=True)
-class Making:
+class WorkerOptions:
     """How a command makes its runs, and what it prints: the options of all commands that make many."""
 
     workers: Annotated[int | None, Whole(1, 1024), Option("Runs at a time; by default one per core.", "N")] = None
@@ -66,7 +66,7 @@ class Making:
 
 
 @dataclass(frozen=True, slots=True)
-class MakingStudy(Making):
+class MakingStudy(WorkerOptions):
     """The same of a command that makes a study."""
 
     quiet: Annotated[bool, Option("Print only the study's directory; failures go to stderr.", flag="-q --quiet")] = (

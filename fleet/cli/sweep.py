@@ -15,9 +15,9 @@ from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.junit import Junit
 from fleet.cli.study_options import (
-    Making,
     MakingStudy,
     StudiesFolder,
+    WorkerOptions,
     axis_columns,
     given_values,
     progress_pieces,
@@ -132,7 +132,7 @@ def _asked_for(name: str, asked: StudySpec) -> NamedStudy:
     return study._replace(spec=spec)
 
 
-def _prepared(name: str, asked: StudySpec, out: Path, how: Making) -> tuple[Store, StudySpec, Modules]:
+def _prepared(name: str, asked: StudySpec, out: Path, how: WorkerOptions) -> tuple[Store, StudySpec, Modules]:
     from fleet.study.plan import plan_of
     from fleet.study.study import new_directory
     from fleet.study.sweep import prepare
@@ -153,7 +153,7 @@ def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
     return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.every_column)
 
 
-def _run(store: Store, spec: StudySpec, modules: Modules | None, how: Making) -> None:
+def _run(store: Store, spec: StudySpec, modules: Modules | None, how: WorkerOptions) -> None:
     """Make the runs that are missing, then the logs. `modules`: that the runs need; None: they are looked for then."""
     from fleet.study.sweep import logs_to_make, modules_again, run_study
 

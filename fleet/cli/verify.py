@@ -10,9 +10,9 @@ import click
 
 from fleet.cli.changes import Overrides, key_options
 from fleet.cli.declare import command
-from fleet.cli.documents.output import give, json_is_asked, print_document
+from fleet.cli.documents.output import json_is_asked, print_document, print_result
 from fleet.cli.log_argument import Log, newest_log
-from fleet.cli.study_options import Making
+from fleet.cli.study_options import WorkerOptions
 from fleet.cli.types import FILE, NoProgress, Trust, Whole
 from fleet.option import Option
 from fleet.terminal.status_line import StatusLine, showing, showing_time
@@ -42,7 +42,7 @@ def verify(log: Log, *, trust: Trust = False, quiet: NoProgress = False) -> None
 
     with showing(f"reading {log}") as reading, showing_time("verified") as tell:
         found = check(log, tell, reading)
-    give(found, *verification_lines(found))
+    print_result(found, *verification_lines(found))
     sys.exit(0 if found.reproduced else 1)
 
 
@@ -166,7 +166,7 @@ def whatif(
         draw(found, plot, digest(log_path(log)))
     for note in () if json_is_asked() else found.notes:
         say(f"note  {note}", err=True)
-    give(found.compared, *what_if_lines(found), *([str(plot)] if plot is not None else []))
+    print_result(found.compared, *what_if_lines(found), *([str(plot)] if plot is not None else []))
 
 
 def what_if_lines(found: WhatIf) -> list[str]:
@@ -196,7 +196,7 @@ def why(
     picture: Annotated[Path | None, FILE, Option("Draw it into this file (png, svg, pdf).")] = None,
     budget: Annotated[int, Whole(0, 10_000), Option(
         "Healed runs that are tried; 0: only what the log says.", "RUNS")] = 24,
-    how: Making,
+    how: WorkerOptions,
 ) -> None:  # fmt: skip
     """Explain why a check failed in LOG: faults, messages that did not arrive, and what each vehicle knew.
 
@@ -226,7 +226,7 @@ def why(
             found = explanation.without_runs()
     if picture is not None:
         draw(found, explanation.path, explanation.scenario, picture)
-    give(found, *lines(found), *([str(picture)] if picture is not None else []))
+    print_result(found, *lines(found), *([str(picture)] if picture is not None else []))
 
 
 def _pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:

@@ -15,12 +15,12 @@ from fleet.execution.directory import CONNECTION, OBSERVE, in_use
 from fleet.execution.registry import registered
 from fleet.logs.topic_names import RUN_NAME
 from netem.errors import BusError
+from netem.files import DamagedFile, parse_json, read_file
 from netem.limits import CONNECTION_FILE
-from netem.private_file import DamagedFile, parse_json, read_file
-from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.bus import Bus
+from netem.wire.credentials import LEASE_MS, Credentials
 from netem.wire.keys import Keys
-from netem.wire.shell import read_map, request
+from netem.wire.mailbox import read_map, request
 
 ASK_S = 5.0
 

@@ -28,11 +28,11 @@ from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.vehicle_clock import Clock
-from netem.wire.access import CONSOLE, NETEM, WORLD
 from netem.wire.bus import Respond
 from netem.wire.codec import expect
+from netem.wire.credentials import CONSOLE, NETEM, WORLD
+from netem.wire.mailbox import read_map
 from netem.wire.messages import PROTOCOL_VERSION, Frames, Grant, Hello, LinkReport
-from netem.wire.shell import read_map
 
 # --- accounts of a completed run: every message that one process sent, another received
 

@@ -26,7 +26,7 @@ from fleet.execution.options import Options
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.registry import RegistryError, register
 from fleet.execution.runner import Runner
-from fleet.execution.triggered import fired
+from fleet.execution.triggered import resolve_triggers
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.limits import NO_THREAD, free_port, no_thread
 from fleet.quantities import show_time
@@ -164,7 +164,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     """
     if scenario.spec.triggers:
         names = moments(scenario.spec.triggers, scenario.spec)
-        scenario = fired(scenario, options.start)
+        scenario = resolve_triggers(scenario, options.start)
         for name, begin_s, end_s, what in () if options.quiet else timeline(scenario):
             if name in names:
                 text = f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name}), {names[name]}"

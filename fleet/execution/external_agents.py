@@ -18,7 +18,7 @@ from fleet.errors import FleetError, RunBroken
 from fleet.execution.directory import RunDirectory
 from fleet.hosts.rendezvous import JoinFolder
 from fleet.scenario.scenario import Scenario
-from netem.wire.access import Credentials, agent_role
+from netem.wire.credentials import Credentials, agent_role
 from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION
 

@@ -15,7 +15,7 @@ from fleet.execution.options import Options
 from fleet.processes.limits import processors
 from fleet.scenario.scenario import Scenario
 from netem.vehicle_clock import Clock
-from netem.wire.access import agent_role, host_role
+from netem.wire.credentials import agent_role, host_role
 
 Process = TypeVar("Process")
 AUTO_ABOVE = 50  # vehicles: fewer have room for a process each

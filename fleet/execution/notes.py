@@ -8,8 +8,8 @@ from collections.abc import Iterable
 
 from fleet.errors import printable
 from netem.errors import MalformedMessage
-from netem.wire.access import WORLD
 from netem.wire.codec import expect
+from netem.wire.credentials import WORLD
 from netem.wire.keys import vehicle_of
 from netem.wire.messages import Ended, Note
 from netem.wire.queues import Quota

@@ -18,12 +18,12 @@ from fleet.execution.notes import Notes
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError
 from netem.vehicle_clock import Clock
-from netem.wire.access import Credentials, agent_role, host_role
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
+from netem.wire.credentials import Credentials, agent_role, host_role
 from netem.wire.keys import Keys
+from netem.wire.mailbox import read_map, request
 from netem.wire.messages import Frames, Hello, LinkReport, Message
-from netem.wire.shell import read_map, request
 
 # --- events: the console's input, one queue of events, filled by the threads of zenoh and the watcher of processes
 

@@ -23,7 +23,7 @@ from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import MakeLife, in_process
 from fleet.execution.operator import Operator, RefusedError
 from fleet.execution.outcome import account_for, judge_run, settle
-from fleet.execution.triggered import fired
+from fleet.execution.triggered import resolve_triggers
 from fleet.notebook import html_table
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.journal import WatchedLog, Watcher
@@ -147,7 +147,7 @@ class Run:
                 "triggers: they cannot be combined with agents that are given in Python; leave them out, or inject a "
                 "fault when its moment has come"
             )
-        self.scenario = scenario = fired(scenario)
+        self.scenario = scenario = resolve_triggers(scenario)
         self._file = log or NoLog()
         writer = self._file if isinstance(self._file, NoDigest) else LogWriter(self._file, scenario)
         recorded = writer if watcher is None else WatchedLog(writer, watcher)
@@ -473,7 +473,7 @@ def run(
     found = loaded(run, scenario, set, net, fault, seed, trust, unknown)
     if out is None:
         return judged(found, progress)
-    found = fired(found)  # the record has the faults that triggers began
+    found = resolve_triggers(found)  # the record has the faults that triggers began
     with closing(RunDirectory(Path(out), found.name, found.seed)) as directory:
         directory.write_scenario(found.to_yaml())
         result = judged(found, progress, log=LogFile(directory.log))

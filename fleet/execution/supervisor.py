@@ -50,8 +50,8 @@ from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.lives import Absence, Lives
 from netem.vehicle_clock import Clock
-from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, WORLD, Listener, agent_role, generate, host_role
 from netem.wire.bus import Bus
+from netem.wire.credentials import CONSOLE, LEASE_MS, NETEM, OPERATOR, WORLD, Listener, agent_role, generate, host_role
 from netem.wire.keys import Keys
 from netem.wire.messages import RUN_OVER, Death, Restart, WorldFault, WorldFaults
 from netem.wire.session import PENDING

@@ -30,7 +30,7 @@ from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
 
 
-def fired(scenario: Scenario, start: Start | None = None) -> Scenario:
+def resolve_triggers(scenario: Scenario, start: Start | None = None) -> Scenario:
     """The scenario with the faults that its triggers begin in place of these; itself if it has none.
 
     Args:

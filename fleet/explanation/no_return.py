@@ -72,7 +72,7 @@ class HealMoment(NamedTuple):
 
 
 @dataclass(slots=True)
-class Remade:
+class Rerun:
     """The run, made once more."""
 
     scenario: Scenario
@@ -122,7 +122,7 @@ def _every(scenario: Scenario) -> int:
     return max(1, ceil(wanted / grid)) * grid
 
 
-def remake(scenario: Scenario, progress: Callable[[float], None]) -> Remade:
+def remake(scenario: Scenario, progress: Callable[[float], None]) -> Rerun:
     """Make the run once more, in this process. `progress`: called with the share that is done. Raises CheckError if a
     check in Python cannot be made.
     """
@@ -131,10 +131,10 @@ def remake(scenario: Scenario, progress: Callable[[float], None]) -> Remade:
     watch.journal = journal = runner.journal
     result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)
     if broken := runner.to_end(lambda: progress(max(0, journal.written) / scenario.ticks)):
-        return Remade(scenario, broken=broken.reason)
+        return Rerun(scenario, broken=broken.reason)
     settle(journal, log, runner, result)
     judge_run(scenario, journal, result, lost=0)
-    return Remade(scenario, result.checks, watch.moments)
+    return Rerun(scenario, result.checks, watch.moments)
 
 
 class HealingSearch:
@@ -142,7 +142,7 @@ class HealingSearch:
 
     def __init__(
         self,
-        remade: Remade,
+        remade: Rerun,
         check: str,
         engine: Engine,
         tell: Callable[[str, int], None],
@@ -173,7 +173,7 @@ class HealingSearch:
         self._try(_spread(0, len(moments) - 1, max(2, most_runs - len(self._known))))
         return self._found("scanned", *self._bounds())
 
-    def _candidates(self, remade: Remade) -> list[HealMoment]:
+    def _candidates(self, remade: Rerun) -> list[HealMoment]:
         """The moments before the failure when healing makes a difference. No fault has begun at the first one."""
         moments = list(remade.moments.get(self._check, []))
         while moments and moments[-1].failed:

@@ -23,7 +23,7 @@ from fleet.explanation.evidence import (
     evidence,
     first_older,
 )
-from fleet.explanation.no_return import HealingSearch, NoReturn, Remade, remake
+from fleet.explanation.no_return import HealingSearch, NoReturn, Rerun, remake
 from fleet.logs.open_log import Log, open_log
 from fleet.logs.reader import digest
 from fleet.logs.schemas import CLOCK, FROM
@@ -126,7 +126,7 @@ class Explanation:
     def searches(self) -> bool:
         return self._remade is not None and self._question.most_runs > 0
 
-    def _remake(self) -> Remade:
+    def _remake(self) -> Rerun:
         return remake(self.scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
 
     def _of_origin(self, source: Recorded) -> tuple[list[str], list[Verdict]]:

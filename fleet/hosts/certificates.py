@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
+from netem.files import ExposedFile, read_file, read_private, write_whole
 from netem.limits import CREDENTIALS
-from netem.private_file import ExposedFile, read_file, read_private, write_whole
 
 CA, SERVER = "ca", "server"
 OWN = "fleet"  # what the run's own processes show to a router that asks for certificates

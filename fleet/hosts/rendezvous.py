@@ -26,9 +26,9 @@ from fleet.hosts.certificates import (
     read_server,
 )
 from fleet.hosts.certificates import path as certificate_path
+from netem.files import DamagedFile, ExposedFile, parse_json, read_private, write_whole
 from netem.limits import CREDENTIALS
-from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private, write_whole
-from netem.wire.access import Credentials, Listener, agent_role, generate
+from netem.wire.credentials import Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
 from netem.wire.listening import probe_address
 from netem.wire.messages import PROTOCOL_VERSION

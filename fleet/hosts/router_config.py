@@ -9,8 +9,8 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.hosts.certificates import CA, OWN, SERVER, path
 from fleet.hosts.rendezvous import new_credentials
-from netem.private_file import write_whole
-from netem.wire.access import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
+from netem.files import write_whole
+from netem.wire.credentials import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
 from netem.wire.keys import Keys
 from netem.wire.session import router_settings
 

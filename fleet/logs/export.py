@@ -31,8 +31,8 @@ from fleet.logs.topic_names import link_topic
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable
 from fleet.scenario.text.yaml_reader import yaml_text
 from netem.fault_kinds import Cause
+from netem.files import part_of, write_whole
 from netem.limits import TRACE
-from netem.private_file import part_of, write_whole
 
 # --- traces: `fleet export --traces`: what became of each packet of a link, as a trace that a scenario can use again
 

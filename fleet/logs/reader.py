@@ -17,8 +17,8 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from fleet.errors import FleetError
 from fleet.logs.records import MAGIC, Block, Digest, renumbered, together
 from fleet.logs.salvage import Damage, Item, Salvage
+from netem.files import read_file
 from netem.limits import LOG_REST, SCENARIO
-from netem.private_file import read_file
 
 RECOVERY = "recovery"  # name of the metadata record in a file that `fleet recover` wrote
 LOST = "lost"  # key in this record: text that says what is lost

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from fleet.errors import FleetError
 from fleet.pictures.style import COLUMN_IN, DPI
-from netem.private_file import whole_file
+from netem.files import whole_file
 
 
 class Heading(NamedTuple):

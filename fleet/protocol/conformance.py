@@ -29,11 +29,12 @@ from fleet.processes.limits import free_port
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.private_folder import PrivateFolder
-from netem.wire.access import Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus, Respond
 from netem.wire.certificate_router import CertificateRouter
 from netem.wire.codec import decode, encode
+from netem.wire.credentials import Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
+from netem.wire.mailbox import Probes
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     RUN_OVER,
@@ -47,7 +48,6 @@ from netem.wire.messages import (
     Note,
     Transmission,
 )
-from netem.wire.shell import Probes
 
 # --- canned messages
 # The bad input of `fleet protocol check`: payloads that a network has damaged, and bytes that are no message.

@@ -26,7 +26,7 @@ from agents.localization import payload as located
 from agents.trajectory import Circle, Path, StraightLine
 from netem.fault_kinds import Cause, WorldFaultKind
 from netem.limits import WIRE_MESSAGE
-from netem.wire.access import LEASE_MS
+from netem.wire.credentials import LEASE_MS
 from netem.wire.messages import PROTOCOL_VERSION, Message, Route, TimedFault, WireRecord, WorldFault
 from world.config import VehicleParams
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from agents.config import Offset
 from agents.signals import SignalLayout
-from fleet.recorder.protocol import AgentProtocol
+from fleet.recorder.agent_reports import AgentProtocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
 from fleet.result.result import Formation, VehicleResult
 from fleet.scenario.scenario import Scenario, frame_every

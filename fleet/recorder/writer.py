@@ -58,7 +58,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT, locates
 from fleet.scenario.sections.timeline import Event
 from netem.fault_kinds import Cause
-from netem.relay import Carried
+from netem.relay import MessageFate
 from netem.vehicle_clock import Clock
 from netem.wire.messages import Command, Fate, Frame
 from world.plants.classes import plant_class
@@ -104,7 +104,7 @@ def ranged_data(fate: Fate, tick_ns: int) -> bytes:
 
 def carried_data(fate: Fate, tick_ns: int) -> bytes:
     """The same as the message `CarriedPacket`, of a packet between nodes."""
-    assert isinstance(fate, Carried)
+    assert isinstance(fate, MessageFate)
     key, kind = fate.key.encode(), fate.kind.encode()
     own = b"\x4a" + varint(len(key)) + key + b"\x52" + varint(len(kind)) + kind
     return packet_data(fate, tick_ns) + own + (b"\x58" + varint(fate.size) if fate.size else b"")

@@ -17,7 +17,7 @@ from fleet.errors import FleetError
 from fleet.replay.observed import Observed
 from fleet.replay.topics import unpack
 from netem.errors import BusError
-from netem.wire.access import Credentials
+from netem.wire.credentials import Credentials
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus, place_of
 

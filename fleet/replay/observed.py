@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
+from netem.files import read_json, write_whole
 from netem.limits import OBSERVED
-from netem.private_file import read_json, write_whole
 from netem.private_folder import PrivateFolder
-from netem.wire.access import OBSERVER, Credentials
+from netem.wire.credentials import OBSERVER, Credentials
 from netem.wire.keys import Keys
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from mcap.records import Channel
 
 from fleet.errors import FleetError
 from fleet.logs.decoder import UNITS
-from fleet.logs.tape import Entry, Tape, Track
+from fleet.logs.seekable_log import Entry, SeekableLog, Track
 from fleet.replay.capture import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, PlaybackOptions, Player
 from fleet.replay.topics import Stamp, hand_out, pack
@@ -29,7 +29,7 @@ RUN = "replay"  # in keys
 class Replay:
     """One log, selected and bound to keys. Nothing is published before `play`."""
 
-    def __init__(self, tape: Tape, options: PlaybackOptions) -> None:
+    def __init__(self, tape: SeekableLog, options: PlaybackOptions) -> None:
         """Choose what to play. Raises FleetError: a topic names nothing, or nothing is left to play."""
         self._tape, self._wishes = tape, options
         self.keys = Keys(RUN)

@@ -21,7 +21,7 @@ from typing import Any
 
 from fleet.errors import FleetError
 from fleet.logs.schemas import Schema
-from fleet.processes.beside import begin, end, line_of, pipe
+from fleet.processes.side_process import begin, end, line_of, pipe
 from fleet.replay.observed import new_observed, write_observed
 
 ENTRY = Struct("<HIQQQII")  # channel, sequence, log and publish time, places in log and topic, bytes that follow

@@ -10,8 +10,8 @@ import msgspec
 
 from fleet.errors import FleetError
 from fleet.result.result import FORMAT, Result, json_text
+from netem.files import read_file
 from netem.limits import RESULT_FILE
-from netem.private_file import read_file
 
 RESULT = "result.json"  # in the directory of a run
 

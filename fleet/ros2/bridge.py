@@ -10,7 +10,7 @@ from mcap.records import Schema
 
 from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, ask, find
-from fleet.logs.tape import Tape, Track
+from fleet.logs.seekable_log import SeekableLog, Track
 from fleet.replay.capture import PublisherGone
 from fleet.replay.live_journal import LiveJournal, left_out
 from fleet.replay.playback import play_out
@@ -108,7 +108,9 @@ def show_run(bridge: RosBridge, journal: LiveJournal, source: LiveSource, line: 
         line.print(left_out(count))
 
 
-def play_log(bridge: RosBridge, tape: Tape, keyboard: Keyboard, line: StatusLine, *, rate: float, loop: bool) -> None:
+def play_log(
+    bridge: RosBridge, tape: SeekableLog, keyboard: Keyboard, line: StatusLine, *, rate: float, loop: bool
+) -> None:
     track = Track(tape, [number for number, channel in tape.channels.items() if is_source(channel.topic)])
     now = time.monotonic_ns()
     player = Player(track, 0, tape.end_ns, rate=rate, loop=loop, now=now, before=track.before)

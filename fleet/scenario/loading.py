@@ -26,9 +26,9 @@ from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, locate, plain, read, text_place
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
 from fleet.scenario.value_types import Section, section_of
+from netem.files import read_bounded, read_file
 from netem.limits import SCENARIO
 from netem.parsing import nearest
-from netem.private_file import read_bounded, read_file
 
 # --- validation
 # A tree of YAML against the schema and the rules: every mistake, each where it was written.

@@ -22,9 +22,9 @@ from fleet.scenario.sections.acoustic import compile_acoustic, modem_values
 from fleet.scenario.sections.clocks import vehicle_clock
 from fleet.scenario.sections.formation import keep_apart_params
 from fleet.scenario.sections.graph import Graph
-from fleet.scenario.sections.ground import Ground, instruments
 from fleet.scenario.sections.modem_files import Values, modem_of
 from fleet.scenario.sections.navigation import navigation_of
+from fleet.scenario.sections.nemesis_targets import NemesisTargets, instruments
 from fleet.scenario.sections.per_vehicle import Control, Entries
 from fleet.scenario.sections.trace_table import TraceTable
 from netem.condition import Condition, Link
@@ -222,14 +222,14 @@ class Parts:
     # --- faults ---------------------------------------------------------------------------------------------------
 
     @cached_property
-    def ground(self) -> Ground:
+    def ground(self) -> NemesisTargets:
         """The parts of the scenario that a nemesis acts on."""
         nemesis = self.spec.nemesis
         if nemesis is not None and nemesis.mode is None and (nemesis.every is None or nemesis.for_ is None):
             raise UnknownValueError
         has = {i: instruments(self.choice(self.entries(i))) for i in range(1, self.spec.vehicles + 1)}
         clocks, navigators, fixed = (tuple(i for i, each in has.items() if each[k]) for k in range(3))
-        return Ground(self.spec, self.links, self.conditions, clocks, navigators, fixed)
+        return NemesisTargets(self.spec, self.links, self.conditions, clocks, navigators, fixed)
 
     @cached_property
     def explicit(self) -> ScenarioSpec:

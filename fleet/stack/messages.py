@@ -12,7 +12,7 @@ from fleet.recorder.transforms import angles, enu
 from fleet.replay.capture import message_encoding
 from fleet.ros2.rmw import read_key
 from fleet.ros2.types import types_of
-from netem.relay_process import Said
+from netem.relay_process import LoggedMessage
 
 _PLACES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
 _MOST_CHANNELS = 10_000  # MCAP has 65,535 of them
@@ -26,7 +26,7 @@ class MessageLog:
         self._channels: dict[tuple[int, str, str, str], int] = {}
         self._count = 0
 
-    def write(self, said: Said) -> None:
+    def write(self, said: LoggedMessage) -> None:
         """Append a message at the time at which it came. Raises LogError."""
         name = said.src, said.key, said.kind, said.encoding
         if name not in self._channels:
@@ -37,7 +37,7 @@ class MessageLog:
         self._count += 1
         self._log.message(self._channels[name], at_ns, at_ns, self._count & 0xFFFFFFFF, said.payload)
 
-    def _channel(self, said: Said) -> int:
+    def _channel(self, said: LoggedMessage) -> int:
         robot, entity = self._names[said.src - 1], read_key(said.key)
         metadata = {"zenoh.key": said.key, "zenoh.kind": said.kind, "zenoh.encoding": said.encoding}
         if entity is not None and said.kind == "put":

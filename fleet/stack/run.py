@@ -36,13 +36,13 @@ from netem import relay_process
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.relay_process import MOST_NOTES, Port, RelayReport, Setup
-from netem.wire.access import CONSOLE, OPERATOR, generate
 from netem.wire.bus import Bus
+from netem.wire.credentials import CONSOLE, OPERATOR, generate
 from netem.wire.keys import Keys
+from netem.wire.mailbox import read_map
 from netem.wire.messages import Frame, LinkReport, VehicleFrame, WorldFault
-from netem.wire.robots import Meeting
+from netem.wire.robots import RobotEndpoint
 from netem.wire.session import quiet_zenoh
-from netem.wire.shell import read_map
 
 RELAY = "relay"
 OPEN_S = 20.0  # for sessions that wait for a router of others
@@ -71,7 +71,7 @@ def setup_of(scenario: Scenario, folder: Path | None, found: Mapping[str, str] =
     return Setup(
         config=scenario.netem_config,
         robots=tuple(
-            Meeting(
+            RobotEndpoint(
                 i,
                 names[i - 1],
                 node.listen or found.get(names[i - 1], ""),

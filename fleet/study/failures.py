@@ -32,8 +32,8 @@ from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import Row
 from fleet.study.shrink import Shrinker
+from netem.files import DamagedFile, read_json, write_whole
 from netem.limits import FAILURES
-from netem.private_file import DamagedFile, read_json, write_whole
 
 INDEX = "failures.json"
 FORMAT = 1  # of both JSON files
@@ -161,7 +161,7 @@ def file_of(scenario: Scenario, check: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Regressed:
+class RegressionResult:
     failure: FoundFailure  # the scenario, with the expected verdict
     got: str  # the verdict now, in words
     same: bool  # whether it is the expected verdict
@@ -190,7 +190,7 @@ class Regression:
 
     def run(
         self, engine: Engine, tell: Callable[[int], None], modules: Modules, timeout_s: float = inf
-    ) -> list[Regressed]:
+    ) -> list[RegressionResult]:
         """Run them all; returns what came out, in the order of the folder."""
         rows: dict[int, Row] = {}
 
@@ -207,7 +207,7 @@ class Regression:
         engine.make(tasks(), take, lambda: tell(len(rows)))
         return [_compared(failure, rows[number]) for number, failure in enumerate(self.failures)]
 
-    def accept(self, found: list[Regressed]) -> list[Regressed]:
+    def accept(self, found: list[RegressionResult]) -> list[RegressionResult]:
         """Expect from now on what came out: the verdict, and the digest of the log.
 
         A run that fails is expected to fail the check that it failed before, or else the first one that it fails.
@@ -235,16 +235,16 @@ class Regression:
         return settled
 
 
-def _compared(failure: FoundFailure, row: Row) -> Regressed:
+def _compared(failure: FoundFailure, row: Row) -> RegressionResult:
     wall_s = row.numbers.get("wall_s", 0.0)
     if not row.judged:
-        return Regressed(failure, f"no result: {row.reason}", False, True, False, wall_s)
+        return RegressionResult(failure, f"no result: {row.reason}", False, True, False, wall_s)
     failed = row.failed_checks
     fails = failure.check in failed
     same = fails if failure.expected == "fail" else not failed
     got = f"fails {', '.join(failed)}" if failed else "passes"
     differs = row.version == failure.version and row.digest != failure.digest
-    return Regressed(failure, got, same, False, differs, wall_s, tuple(failed), row.digest or "", row.version)
+    return RegressionResult(failure, got, same, False, differs, wall_s, tuple(failed), row.digest or "", row.version)
 
 
 def make_least(

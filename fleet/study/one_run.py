@@ -20,7 +20,7 @@ from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
 from fleet.execution.stepped_run import Run, judged
-from fleet.execution.triggered import fired
+from fleet.execution.triggered import resolve_triggers
 from fleet.processes.apart import apart, can_copy
 from fleet.recorder.log_file import LogFile, NoDigest
 from fleet.result.file import write_result
@@ -210,7 +210,7 @@ def scenario_of(task: Task) -> Scenario:
 
 def fired_of(task: Task) -> Scenario:
     """The same with faults in place of its triggers. Raises ScenarioError."""
-    return _read(task, fired)
+    return _read(task, resolve_triggers)
 
 
 def _read(task: Task, then: Callable[[Scenario], Scenario]) -> Scenario:

@@ -22,8 +22,8 @@ from fleet.study.one_run import Task
 from fleet.study.plan import run_key
 from fleet.study.row import PartRow, Row
 from netem.draws import bits
+from netem.files import DamagedFile, read_json, write_whole
 from netem.limits import RARE
-from netem.private_file import DamagedFile, read_json, write_whole
 
 _MARGINS = 3  # changes when other margins count at a moment: such repeats do not mix
 _TOGETHER = 8  # parts of runs that a worker makes from one moment

@@ -12,8 +12,8 @@ from fleet.study.errors import StudyError
 from fleet.study.measures import MeasureColumn, columns_of_checks
 from fleet.study.spec import MOST_ALLOWED, BoundarySpec, StudySpec, texts
 from fleet.study.values import Axis
+from netem.files import DamagedFile, read_json, write_whole
 from netem.limits import STUDY_RECORD
-from netem.private_file import DamagedFile, read_json, write_whole
 
 VERSION = 4
 NAME = "study.json"

@@ -46,7 +46,7 @@ def covered(scenario: Scenario, seeds: Collection[int]) -> Covered | None:
 
 
 @dataclass(slots=True)
-class Searched:
+class SearchResult:
     """The result of a search."""
 
     name: str  # of the scenario
@@ -91,7 +91,7 @@ def search(
     budget_s: float = inf,
     modules: Modules = NO_MODULES,
     keep: FailureFolder | None = None,
-) -> Searched:
+) -> SearchResult:
     """Run a scenario with its own seed, the next one and so on, until a check fails. `tell`: called with the number of
     runs so far. `check`: only this one ends it; None: any that the scenario states. `budget_s`: after this wall time no
     run begins. `keep`: keeps the first scenario of each kind of failure; then the search goes on after a failure, and
@@ -134,7 +134,7 @@ class _Search:
     ) -> None:
         self._scenario, self._text, self._check, self._modules, self._keep = scenario, text, check, modules, keep
         self._unstated = scenario.spec.checks.unstated
-        self.found = Searched(scenario.name, scenario.seed)
+        self.found = SearchResult(scenario.name, scenario.seed)
         self.found.reached = [Reached(name) for name in sometimes_names([scenario])]
         self.next_seed = scenario.seed
         self.waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
@@ -200,7 +200,7 @@ class _Search:
         )  # fmt: skip
         self._saved = time.monotonic()
 
-    def end(self) -> Searched:
+    def end(self) -> SearchResult:
         """The result of the search.
 
         Without a folder runs that were under way with the first failing one count as well.

@@ -4,8 +4,8 @@ A field of `StudySpec` is an option of `fleet sweep`, a keyword of `fleet.sweep`
 key in study.json. One of `BoundarySpec` is an option of `fleet boundary`, a keyword of `fleet.boundary`, and a key in
 study.json. All of them follow from the field: from its name, its type, its default and the `Option` beside it.
 
-`fleet.study.given` reads what is given for a field. This module imports little, because `fleet sweep --help` waits for
-it.
+`fleet.study.option_values` reads what is given for a field. This module imports little, because `fleet sweep --help`
+waits for it.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ from fleet.study.row import STATUSES, CheckRow, Row
 from fleet.study.spec import LARGEST_SEED
 from fleet.study.stopping import Rule, parse_until, seed_sequence, seeds_needed
 from fleet.study.values import AxisValue
+from netem.files import part_of, sync_folder
 from netem.limits import STUDY_ROWS
-from netem.private_file import part_of, sync_folder
 
 if TYPE_CHECKING:
     import pandas as pd

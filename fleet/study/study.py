@@ -18,9 +18,9 @@ from fleet.scenario.trust import Policy
 from fleet.study.borders import Border, Borders, Tell, border_plan, find_borders, prepare_borders, theory
 from fleet.study.engine import engine_of, need_extra
 from fleet.study.errors import StudyError
-from fleet.study.given import BoundaryKeywords, SweepKeywords, keywords, takes
 from fleet.study.measures import CHECK, find_columns
 from fleet.study.one_run import A_STUDY
+from fleet.study.option_values import BoundaryKeywords, SweepKeywords, keywords, takes
 from fleet.study.pictures.border import write_borders
 from fleet.study.plan import plan_of
 from fleet.study.row import FAILED

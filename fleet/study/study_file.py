@@ -27,11 +27,11 @@ from fleet.scenario.text.yaml_reader import (
 from fleet.scenario.trust import TYPED, OverrideOrigin, origin
 from fleet.study.catalogue import shipped_studies, study_text
 from fleet.study.errors import StudyError
-from fleet.study.given import read as read_value
+from fleet.study.option_values import read as read_value
 from fleet.study.spec import StudySpec
+from netem.files import read_file
 from netem.limits import SCENARIO
 from netem.parsing import nearest
-from netem.private_file import read_file
 
 _KEY = "study"
 _NESTED = re.compile(r"\s*[\[{]")

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable
 from functools import partial
 
-from fleet.logs.tape import Tape, Track
+from fleet.logs.seekable_log import SeekableLog, Track
 from fleet.replay.capture import ATTACHMENT, DELETE, KIND
 from fleet.replay.playback import obey
 from fleet.replay.player import SEEK_NS, Player
@@ -27,7 +27,7 @@ _BESIDE = (ATTACHMENT, DELETE)  # what stands beside the messages of captured tr
 class LogBridge:
     """From a log to a server for viewers. It plays while somebody watches, and never ends by itself."""
 
-    def __init__(self, tape: Tape, host: str, port: int | None, *, rate: float, loop: bool) -> None:
+    def __init__(self, tape: SeekableLog, host: str, port: int | None, *, rate: float, loop: bool) -> None:
         """Listen. `rate`: times the log's own pace. `loop`: begin again at the end. Raises FleetError: there is no
         port."""
         self._tape, self._loop = tape, loop
@@ -166,7 +166,7 @@ class LogBridge:
         ]
 
 
-def _channel(tape: Tape, number: int) -> FoxgloveChannel:
+def _channel(tape: SeekableLog, number: int) -> FoxgloveChannel:
     channel = tape.channels[number]
     schema = tape.schemas.get(channel.schema_id)
     encoding = channel.message_encoding or "application/octet-stream"

@@ -16,7 +16,7 @@ from fleet.logs.fault_intervals import intervals
 from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
-from fleet.logs.tape import Tape, Track
+from fleet.logs.seekable_log import SeekableLog, Track
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import believer_of, link_of, link_topic, run_name
 from fleet.quantities import vehicle_numbers
@@ -192,7 +192,7 @@ class LogFeed:
         run = recorded(path)
         self.scenario: Scenario = run.script()
         self._begin_s = begin_ns(run.reader) / 1e9
-        self._tape = Tape(run.path)
+        self._tape = SeekableLog(run.path)
         self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
         self.signals = Signals(self._tape.channels.values(), self._tape.schemas)
         self.picture = ViewState(self.scenario)

@@ -23,7 +23,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.execution.directory import OBSERVE
 from fleet.logs.reader import log_path
-from fleet.processes.beside import begin, end, pipe
+from fleet.processes.side_process import begin, end, pipe
 from fleet.view.live_feed import LiveFeed
 from fleet.view.log_feed import LogFeed
 from fleet.view.server import PageListener, serve

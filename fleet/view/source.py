@@ -12,7 +12,7 @@ from fleet.execution.directory import OBSERVE, SCENARIO, in_use, newest_run
 from fleet.execution.registry import registered
 from fleet.logs.reader import log_path
 from fleet.replay.observed import Observed, read_observed
-from netem.private_file import DamagedFile
+from netem.files import DamagedFile
 
 
 @dataclass(frozen=True, slots=True)

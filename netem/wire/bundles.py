@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from netem.errors import MalformedMessage
-from netem.wire.access import Members, host_role
 from netem.wire.bus import PART_BYTES, Bus, split
 from netem.wire.codec import encode
+from netem.wire.credentials import Members, host_role
 from netem.wire.keys import Keys
 from netem.wire.messages import Bundle, BundlePart
 
@@ -20,7 +20,7 @@ def bundles(parts: Sequence[BundlePart]) -> Iterator[bytes]:
         yield encode(Bundle(tuple(some)))
 
 
-class Hosts:
+class AgentGroups:
     """The hosts of a run, as world and netem see them: the agents on each host, and the key that leads there."""
 
     def __init__(self, bus: Bus, keys: Keys, members: Members, up: Callable[[str], str]) -> None:

@@ -19,7 +19,7 @@ import zenoh
 
 from netem.errors import BusError
 from netem.limits import WIRE_MESSAGE
-from netem.wire.access import LEASE_MS, Credentials, Listener, Members, access_control
+from netem.wire.credentials import LEASE_MS, Credentials, Listener, Members, access_control
 from netem.wire.keys import Keys
 from netem.wire.queues import PutQueue, Stamped
 from netem.wire.session import (

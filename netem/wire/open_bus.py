@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import zenoh
 
 from netem.errors import BusError
-from netem.wire.access import Credentials, observer_control
+from netem.wire.credentials import Credentials, observer_control
 from netem.wire.keys import Keys
 from netem.wire.session import OTHERS, UNIVERSAL, client_settings, listening, open_session, reason, users_file
 

@@ -55,7 +55,7 @@ _SETTINGS: dict[str, Any] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Meeting:
+class RobotEndpoint:
     """The place where a robot's programs meet us: our router (`listen`), or a router of the robot (`connect`)."""
 
     number: int
@@ -139,7 +139,7 @@ def check_key(text: str) -> str:
 class Robot:
     """The network of one robot. Threads of zenoh put what comes into its inlet."""
 
-    def __init__(self, access: Meeting, carry: Sequence[str], inlet: Inlet) -> None:
+    def __init__(self, access: RobotEndpoint, carry: Sequence[str], inlet: Inlet) -> None:
         """Open its session. Raises BusError: the address is in use, nobody answers there, or a file is no configuration
         of zenoh.
         """
@@ -451,7 +451,7 @@ def _direct(handler: Callable[[Any], None]) -> Any:
     return zenoh.handlers.Callback(handler, indirect=False)
 
 
-def _opened(access: Meeting) -> zenoh.Session:
+def _opened(access: RobotEndpoint) -> zenoh.Session:
     try:
         config = zenoh.Config.from_file(access.config) if access.config else zenoh.Config()
     except zenoh.ZError as error:

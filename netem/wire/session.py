@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 import zenoh
 
-from netem.private_file import write_whole
-from netem.wire.access import LEASE_MS, Credentials, Listener
+from netem.files import write_whole
+from netem.wire.credentials import LEASE_MS, Credentials, Listener
 from netem.wire.listening import socket_place
 
 # --- settings: zenoh's, for our sessions, as paths and values, with the reasons

@@ -59,6 +59,7 @@ from netem.rounds import Rounds
 from netem.wire.bus import PART_BYTES, Bus
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
+from netem.wire.mailbox import Item
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     Command,
@@ -73,7 +74,6 @@ from netem.wire.messages import (
     Transmission,
 )
 from netem.wire.messages import Pace as Begins
-from netem.wire.shell import Item
 from world.lockstep import Lockstep
 from world.process import WorldProcess
 from world.realtime_process import RealtimeWorldProcess

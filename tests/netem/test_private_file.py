@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from refusals import check_refusals
 
-from netem.private_file import DamagedFile, ExposedFile, parse_json, read_private, whole_file, write_whole
+from netem.files import DamagedFile, ExposedFile, parse_json, read_private, whole_file, write_whole
 
 
 class Known(msgspec.Struct):

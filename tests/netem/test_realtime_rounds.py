@@ -20,8 +20,8 @@ from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
+from netem.wire.mailbox import Item, request
 from netem.wire.messages import Arrival, Delivery, LinkReport, Pace, Receipt, Round, Transmission
-from netem.wire.shell import Item, request
 
 KEYS = Keys("5ea")
 

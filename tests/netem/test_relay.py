@@ -19,7 +19,7 @@ from netem.faults import NetFault
 from netem.limits import LINK_UNDER_WAY
 from netem.modem import AcousticConfig, Modem
 from netem.network import Netem
-from netem.relay import PUT, REPLY, Carried, DueMessage, Relay, RobotMessage
+from netem.relay import PUT, REPLY, DueMessage, MessageFate, Relay, RobotMessage
 
 TICK_NS = 1_000_000
 BEGIN_NS = 5_000_000_000
@@ -56,7 +56,7 @@ def handed(relay: Relay, at_ms: float) -> list[DueMessage]:
     return found
 
 
-def key(fate: Carried) -> tuple[object, ...]:
+def key(fate: MessageFate) -> tuple[object, ...]:
     return fate.src, fate.dst, fate.seq, fate.copy, fate.cause == Cause.DELIVERED, fate.corrupted
 
 
@@ -92,7 +92,7 @@ def test_the_nth_packet_of_a_link_has_the_fate_of_lockstep(
 @given(short, st.lists(st.tuples(st.integers(1, 3), st.floats(0.0, 500.0)), max_size=20), st.integers(0, 600))
 def test_every_packet_is_accounted_for_once(condition: Condition, sent: list[tuple[int, float]], end_ms: int) -> None:
     relay = Relay(config(condition), BEGIN_NS)
-    fates: list[Carried] = []
+    fates: list[MessageFate] = []
     for src, at_ms in sorted(sent, key=lambda one: one[1]):
         relay.take(message(src, b"abc", at_ms))
         handed(relay, at_ms)

@@ -21,12 +21,12 @@ from netem import relay_process
 from netem.config import NetemConfig
 from netem.fault_kinds import Cause
 from netem.limits import RELAY_WAITING, ROBOT_WAITING
-from netem.relay import DATAGRAM, PUT, Carried, RobotMessage
+from netem.relay import DATAGRAM, PUT, MessageFate, RobotMessage
 from netem.relay_process import Port, RelayProcess, RelayReport, Setup
 from netem.wire import queues
 from netem.wire.outlet import Outlet
 from netem.wire.queues import Inlet
-from netem.wire.robots import Checked, Meeting, Token, Unfit
+from netem.wire.robots import Checked, RobotEndpoint, Token, Unfit
 
 LIMIT_S = 60.0
 NAMES = ("talker", "slow", "fast")
@@ -38,7 +38,7 @@ class Robot:
 
     goes = Event()
 
-    def __init__(self, access: Meeting, carry: tuple[str, ...], inlet: Inlet) -> None:
+    def __init__(self, access: RobotEndpoint, carry: tuple[str, ...], inlet: Inlet) -> None:
         self.number, self.name, self.outlet = access.number, access.name, Outlet()
         self.stayed: Counter[str] = Counter()
         self.matched = {0}
@@ -92,7 +92,7 @@ class Served:
         config = NetemConfig(
             seed=1, tick_ns=1_000_000, round_ticks=100, vehicles=numbers, links=tuple(links), conditions={}
         )
-        meetings = tuple(Meeting(i, NAMES[i - 1], listen="tcp/none") for i in numbers)
+        meetings = tuple(RobotEndpoint(i, NAMES[i - 1], listen="tcp/none") for i in numbers)
         self.console, theirs = Pipe()
         self.queue: SimpleQueue[Any] = SimpleQueue()
         self.process = RelayProcess(theirs, Setup(config, meetings, ("**",), ports), self.queue)
@@ -100,10 +100,10 @@ class Served:
         self.thread = Thread(target=self.process.serve, args=(monotonic_ns(),), daemon=True)
         self.thread.start()
 
-    def end(self) -> tuple[list[Carried], RelayReport]:
+    def end(self) -> tuple[list[MessageFate], RelayReport]:
         """All fates, and the last report with the notes of all."""
         self.console.send_bytes(msgspec.msgpack.encode({"op": "close"}))
-        fates: list[Carried] = []
+        fates: list[MessageFate] = []
         notes: list[str] = []
         while True:
             report = msgspec.msgpack.decode(self.console.recv_bytes(), type=RelayReport)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from netem.access import Access
 from netem.config import NetemConfig
 from netem.faults import NetFault
+from netem.medium_access import Access
 from netem.modem import AcousticConfig, Modem
 from netem.network import Netem
 from netem.station import Station

@@ -13,7 +13,7 @@ from repository import ROOT
 from waiting import wait_for
 
 from fleet.logs.reader import LogReader, LogReadError, Record
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.processes.limits import free_port
 from netem.wire.open_bus import OpenBus, ZenohSample, place_of, sample_of
 
@@ -56,20 +56,20 @@ def records(log: Path) -> list[Record]:
     return list(LogReader(log))
 
 
-def times(tape: Tape) -> list[int]:
+def times(tape: SeekableLog) -> list[int]:
     """When each message is due."""
     return [tape.due(n) for n in range(len(tape))]
 
 
 def schemas_of(log: Path) -> dict[str, str]:
     """Topic -> name of its schema."""
-    tape = Tape(log)
+    tape = SeekableLog(log)
     return {channel.topic: tape.schemas[channel.schema_id].name for channel in tape.channels.values()}
 
 
 def len_of(path: Path) -> int:
     try:
-        return len(Tape(path))
+        return len(SeekableLog(path))
     except LogReadError:
         return 0
 

@@ -27,15 +27,15 @@ from live import LiveRun
 from waiting import wait_for
 
 import fleet.execution.supervisor
-import netem.wire.access
 import netem.wire.bus
+import netem.wire.credentials
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader
 from fleet.processes.children import RunFolder
 from fleet.result.result import Status
 from netem.errors import BusError
-from netem.wire.access import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus, Respond
+from netem.wire.credentials import CONSOLE, LEASE_MS, NETEM, OPERATOR, Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
 
 RUN = "5ec7e7"
@@ -202,7 +202,7 @@ def without(flow: str) -> Any:
     rule = {"permission": "allow", "flows": [flow], "messages": messages, "key_exprs": ["**"]}
 
     def access_control(keys: Keys, vehicles: tuple[int, ...], **how: Any) -> dict[str, Any]:
-        block = netem.wire.access.access_control(keys, vehicles, **how)
+        block = netem.wire.credentials.access_control(keys, vehicles, **how)
         block["rules"].append({"id": "open", **rule})
         for policy in block["policies"]:
             policy["rules"].append("open")
@@ -212,7 +212,7 @@ def without(flow: str) -> Any:
 
 
 GUARDS: dict[str, Any] = {
-    "as in every run": netem.wire.access.access_control,
+    "as in every run": netem.wire.credentials.access_control,
     "incoming only": without("egress"),
     "outgoing only": without("ingress"),
     "none": lambda keys, vehicles, **how: {"enabled": False},

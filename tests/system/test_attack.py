@@ -23,14 +23,14 @@ import fleet.execution.supervisor
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader
 from fleet.result.result import Result, Status
-from netem.wire.access import OBSERVER, OPERATOR, Credentials, generate
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
+from netem.wire.credentials import OBSERVER, OPERATOR, Credentials, generate
 from netem.wire.keys import Keys
+from netem.wire.mailbox import Mailbox
 from netem.wire.messages import Hello, Note
 from netem.wire.open_bus import OpenBus
 from netem.wire.queues import MOST_WAITING
-from netem.wire.shell import Shell
 
 SHORT = ["duration=400 ms", "checks={}"]
 
@@ -161,7 +161,7 @@ def test_a_flood_fills_no_queue() -> None:
             self.say = handler
 
     wire = Wire()
-    shell = Shell(wire, "netem", "note/netem")  # type: ignore[arg-type]
+    shell = Mailbox(wire, "netem", "note/netem")  # type: ignore[arg-type]
     shell.subscribe("run/tx/*")
     for _ in range(MOST_WAITING + 5):
         wire.say("run/tx/3", b"x")

@@ -26,9 +26,9 @@ from fleet.execution.clock import GrantPolicy
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader
 from fleet.result.result import Result, Status
-from netem.wire.access import Credentials
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
+from netem.wire.credentials import Credentials
 from netem.wire.keys import Keys
 from netem.wire.messages import Command, Frames, Hello, LinkReport, Nav, Note, Transmission
 

@@ -30,9 +30,9 @@ from fleet.execution.connection import ask, find
 from fleet.hosts import certificates, router_config
 from fleet.hosts.rendezvous import read_credentials, run_id, through_router
 from netem.errors import BusError
-from netem.wire.access import Credentials, Listener, generate
 from netem.wire.bus import Bus, never_linger
 from netem.wire.codec import decode
+from netem.wire.credentials import Credentials, Listener, generate
 from netem.wire.keys import Keys
 from netem.wire.messages import End
 

@@ -25,8 +25,8 @@ import fleet.execution.supervisor
 from fleet.execution.directory import RunDirectory
 from fleet.processes.children import Children, Exit, RunFolder
 from fleet.result.result import Result, Status
-from netem.wire.access import Credentials
 from netem.wire.bus import Bus
+from netem.wire.credentials import Credentials
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
 from netem.wire.session import PIECE_BYTES

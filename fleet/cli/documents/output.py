@@ -43,7 +43,7 @@ def print_document(document: msgspec.Struct) -> None:
         click.echo(json.dumps(json.loads(text), indent=2))
 
 
-def give(document: msgspec.Struct, *words: str) -> None:
+def print_result(document: msgspec.Struct, *words: str) -> None:
     """Print a result: as JSON if that was asked for, else in words, a line or several each."""
     if json_is_asked():
         print_document(document)

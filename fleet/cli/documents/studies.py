@@ -15,9 +15,9 @@ from fleet.study.row import Covered
 
 if TYPE_CHECKING:  # these need the extra `study`, and `fleet about --schemas` does not
     from fleet.study.borders import Border, Borders
-    from fleet.study.failures import Regressed
+    from fleet.study.failures import RegressionResult
     from fleet.study.row import Reached
-    from fleet.study.search import Searched
+    from fleet.study.search import SearchResult
     from fleet.study.shrink import Shrunk
     from fleet.study.statistics import Estimate
     from fleet.study.store import Store
@@ -106,7 +106,7 @@ class Size(Struct):
     duration_s: float
 
 
-class Less(Struct):
+class ShrunkScenario(Struct):
     """`fleet shrink --json`: the least scenario that fails, and what was removed."""
 
     file: str
@@ -132,7 +132,9 @@ class FirstFailing(Struct):
     most_failures: Annotated[
         float | None, Meta(description="If none failed: the share of such runs that may fail at most, 95 % sure.")
     ]
-    least: Annotated[Less | None, Meta(description="The least scenario that fails; null: none does, or with --keep.")]
+    least: Annotated[
+        ShrunkScenario | None, Meta(description="The least scenario that fails; null: none does, or with --keep.")
+    ]
     sometimes: list[SometimesReached]
     kept: Annotated[list[FoundFailure], Meta(description="With --keep: what the folder has of this scenario.")]
     triggered: Annotated[
@@ -195,13 +197,13 @@ def boundary_document(borders: Borders, found: Sequence[Border], picture: str | 
                          record.check, record.level, picture, rows, _sometimes(reached(store)))  # fmt: skip
 
 
-def less(found: Shrunk, before: Scenario, file: Path) -> Less:
+def less(found: Shrunk, before: Scenario, file: Path) -> ShrunkScenario:
     """The document of a scenario that was made less."""
     sizes = [Size(len(timeline(one)), one.vehicles, one.duration_ns / 1e9) for one in (before, found.scenario)]
-    return Less(str(file), before.name, found.check, found.found, found.runs, found.steps, *sizes)
+    return ShrunkScenario(str(file), before.name, found.check, found.found, found.runs, found.steps, *sizes)
 
 
-def first_failing(found: Searched, shrunk: Shrunk | None, file: Path, kept: Sequence[FoundFailure]) -> FirstFailing:
+def first_failing(found: SearchResult, shrunk: Shrunk | None, file: Path, kept: Sequence[FoundFailure]) -> FirstFailing:
     """The document of a search, and of what was made of the run that it found."""
     least = None if shrunk is None or found.scenario is None else less(shrunk, found.scenario, file)
     return FirstFailing(
@@ -211,7 +213,7 @@ def first_failing(found: Searched, shrunk: Shrunk | None, file: Path, kept: Sequ
     )  # fmt: skip
 
 
-def regressed(folder: Path, found: Sequence[Regressed]) -> RegressedFolder:
+def regressed(folder: Path, found: Sequence[RegressionResult]) -> RegressedFolder:
     """The document of `fleet regress`."""
     rows = [RegressedRow(one.failure, one.same, one.got, one.differs) for one in found]
     return RegressedFolder(str(folder), all(row.as_expected for row in rows), rows)

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from fleet import quantities as q
 from fleet.errors import FleetError
+from netem.files import read_file
 from netem.limits import DATA_FILE
 from netem.modem import Curve
 from netem.parsing import nearest
-from netem.private_file import read_file
 
 T = TypeVar("T")
 

@@ -35,7 +35,7 @@ from fleet.quantities import show_time
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.schema.control import AgentSection
 from fleet.scenario.schema.faults import FaultSection, NemesisSection, TriggerSection
-from fleet.scenario.sections.ground import Ground, free_name
+from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.draws import bits, uniform
 
 PURPOSE = "nemesis episodes"  # of the draws
@@ -63,7 +63,7 @@ class EpisodePlan(NamedTuple):
     begins: tuple[int, ...]
 
 
-def unit(nemesis: NemesisSection, ground: Ground) -> tuple[int, str]:
+def unit(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[int, str]:
     """The protocol's unit of time [ns], in whole rounds, and what states it."""
     spec, round_ns = ground.spec, ground.round_ns
     found, origin = _ROUNDS * round_ns, f"{_ROUNDS} rounds"
@@ -77,7 +77,7 @@ def unit(nemesis: NemesisSection, ground: Ground) -> tuple[int, str]:
     return max(2, round(found / round_ns)) * round_ns, origin
 
 
-def plan(nemesis: NemesisSection, ground: Ground) -> EpisodePlan:
+def plan(nemesis: NemesisSection, ground: NemesisTargets) -> EpisodePlan:
     """The episodes of a run; none if there is no room for one."""
     length, origin = unit(nemesis, ground)
     start = length if nemesis.start is None else nemesis.start
@@ -94,13 +94,13 @@ def chance(isolations: int, vehicles: int, episodes: int) -> float:
     return float(1.0 - (1.0 - one) ** episodes)
 
 
-def draw(nemesis: NemesisSection, ground: Ground) -> tuple[list[FaultSection], list[TriggerSection]]:
+def draw(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[list[FaultSection], list[TriggerSection]]:
     """The faults that the scenario's seed draws, in order of time; and those that wait for a report."""
     work = _drawn(nemesis, ground)
     return sorted(work.faults, key=lambda fault: fault.at), work.triggers
 
 
-def counted(nemesis: NemesisSection, ground: Ground, seeds: Iterable[int]) -> tuple[Counter[str], Counter[str]]:
+def counted(nemesis: NemesisSection, ground: NemesisTargets, seeds: Iterable[int]) -> tuple[Counter[str], Counter[str]]:
     """How many episodes of each kind and how many faults of each kind some seeds draw."""
     of_episodes, of_faults = Counter[str](), Counter[str]()
     for seed in seeds:
@@ -110,7 +110,7 @@ def counted(nemesis: NemesisSection, ground: Ground, seeds: Iterable[int]) -> tu
     return of_episodes, of_faults
 
 
-def _drawn(nemesis: NemesisSection, ground: Ground) -> _Drawn:
+def _drawn(nemesis: NemesisSection, ground: NemesisTargets) -> _Drawn:
     picked = [pick.drawn for pick in nemesis.pick or ()] or KINDS
     among = [kind for kind in picked if kind and (ground.links or kind not in ("partition", "hold", "duplicate"))]
     draws = _Draws(ground.spec.seed)
@@ -136,7 +136,9 @@ class _Draws(NamedTuple):
 class _Drawn:
     """The faults drawn so far."""
 
-    def __init__(self, nemesis: NemesisSection, ground: Ground, draws: _Draws, unit_ns: int, *, isolates: bool) -> None:
+    def __init__(
+        self, nemesis: NemesisSection, ground: NemesisTargets, draws: _Draws, unit_ns: int, *, isolates: bool
+    ) -> None:
         self._isolates = isolates
         self._nemesis, self._ground, self._draws, self._unit = nemesis, ground, draws, unit_ns
         self._taken = {fault.id for fault in ground.spec.faults} | {one.id for one in ground.spec.triggers}

@@ -10,11 +10,11 @@ from fleet.scenario.schema.network import LinkSection, LinkStateSection
 from fleet.scenario.sections.data_files import DataFileError, read_beside
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
 from netem.condition import Condition
+from netem.files import read_file
 from netem.grammar import parse_selector
 from netem.limits import TRACE
 from netem.link_states import LinkStates, stationary
 from netem.link_trace import LinkTrace
-from netem.private_file import read_file
 
 # --- traces: a file beside the scenario, or the scenario itself, has one
 

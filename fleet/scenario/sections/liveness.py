@@ -15,7 +15,7 @@ from fleet.scenario.schema.checks import ChecksSection, SignalCheck
 from fleet.scenario.schema.faults import FaultSection, NemesisSection
 from fleet.scenario.sections import swarm
 from fleet.scenario.sections.graph import beside
-from fleet.scenario.sections.ground import Ground, free_name
+from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.draws import bits, uniform
 
 PURPOSE = "nemesis liveness"  # of the draws
@@ -24,13 +24,13 @@ _IDEAL = ("off",)
 _CORE, _BREAKS, _WHEN = range(3)  # what is drawn
 
 
-def healed_at(nemesis: NemesisSection, ground: Ground) -> int:
+def healed_at(nemesis: NemesisSection, ground: NemesisTargets) -> int:
     """When the core is healed [ns]."""
     spec = ground.spec
     return spec.duration // 2 // spec.tick * spec.tick if nemesis.heal is None else nemesis.heal
 
 
-def core(nemesis: NemesisSection, ground: Ground) -> list[int]:
+def core(nemesis: NemesisSection, ground: NemesisTargets) -> list[int]:
     """The vehicles that are healed: those named, else a majority that links connect.
 
     If not all follow the reference, the core has a vehicle that does, because the others need it as a leader.
@@ -52,7 +52,7 @@ def core(nemesis: NemesisSection, ground: Ground) -> list[int]:
     return sorted(found)
 
 
-def faults(nemesis: NemesisSection, ground: Ground) -> list[FaultSection]:
+def faults(nemesis: NemesisSection, ground: NemesisTargets) -> list[FaultSection]:
     """The faults: those of a swarm up to the heal, and the lasting ones."""
     spec, heal = ground.spec, healed_at(nemesis, ground)
     chaos = swarm.written(swarm.draw(nemesis, ground, heal), ground)
@@ -71,7 +71,7 @@ def faults(nemesis: NemesisSection, ground: Ground) -> list[FaultSection]:
     return sorted([*chaos, *stay], key=lambda fault: fault.at)
 
 
-def of_the_core(checks: ChecksSection, nemesis: NemesisSection, ground: Ground) -> ChecksSection:
+def of_the_core(checks: ChecksSection, nemesis: NemesisSection, ground: NemesisTargets) -> ChecksSection:
     """The checks of a scenario as they judge a core.
 
     Some checks count only from the heal on, and only for vehicles of the core. These are signals with

@@ -17,7 +17,7 @@ from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes, liveness, swarm
-from fleet.scenario.sections.ground import Ground, free_name
+from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.condition import Link
 from netem.draws import bits
 from netem.grammar import Selector
@@ -26,7 +26,7 @@ PURPOSE = "nemesis"  # of the draws
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 
-def explicit(ground: Ground) -> ScenarioSpec:
+def explicit(ground: NemesisTargets) -> ScenarioSpec:
     """The specification of a scenario with the faults that its nemesis draws written out after its own.
 
     With `mode: liveness` its checks judge the core. No id of a fault is one of the scenario's own.
@@ -93,7 +93,7 @@ def _grid(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) ->
     return faults
 
 
-def fault_count(nemesis: NemesisSection, ground: Ground) -> int:
+def fault_count(nemesis: NemesisSection, ground: NemesisTargets) -> int:
     """How many faults a nemesis draws, at most."""
     if nemesis.mode is None:
         return len(_times(nemesis, ground.spec))

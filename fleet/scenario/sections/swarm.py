@@ -27,7 +27,7 @@ from fleet.scenario.faults.of_links import DownFault, PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.schema.faults import CONDITIONS, Aim, FaultSection, NemesisPick, NemesisSection
 from fleet.scenario.sections.graph import beside, reached
-from fleet.scenario.sections.ground import Ground, Pair, free_name
+from fleet.scenario.sections.nemesis_targets import NemesisTargets, Pair, free_name
 from netem.condition import Condition
 from netem.draws import bits, uniform
 from netem.grammar import Selector, print_condition, select
@@ -50,7 +50,7 @@ from netem.grammar import Selector, print_condition, select
 MOST_PAIRS = 20_000  # of a graph in which bridges are looked for
 
 
-def leader(ground: Ground) -> int:
+def leader(ground: NemesisTargets) -> int:
     """The vehicle that leads as far as the scenario says."""
     nemesis, followers = ground.spec.nemesis, ground.followers
     if nemesis is not None and nemesis.leader is not None:
@@ -58,7 +58,7 @@ def leader(ground: Ground) -> int:
     return followers[0] if len(followers) == 1 else 1
 
 
-def hubs(ground: Ground) -> list[int]:
+def hubs(ground: NemesisTargets) -> list[int]:
     """The vehicles with the most links, both directions counted."""
     count = dict.fromkeys(range(1, ground.spec.vehicles + 1), 0)
     for src, dst in ground.links:
@@ -68,7 +68,7 @@ def hubs(ground: Ground) -> list[int]:
     return [i for i, links in count.items() if links == most]
 
 
-def available(ground: Ground) -> list[Aim]:
+def available(ground: NemesisTargets) -> list[Aim]:
     """The aims that make sense for a fleet: alone, a vehicle is all of them."""
     return ["any", "leader", "hub", "bridge", "speaker"] if ground.links else ["any"]
 
@@ -109,7 +109,7 @@ def bridges(pairs: frozenset[Pair]) -> tuple[Pair, ...]:
     return tuple(sorted(found))
 
 
-def last_slot(ground: Ground) -> int | None:
+def last_slot(ground: NemesisTargets) -> int | None:
     """With tdma the vehicle that has the last slot of a frame; None: there are no slots."""
     acoustic = ground.spec.network.acoustic
     return ground.spec.vehicles if acoustic is not None and acoustic.mac == "tdma" else None
@@ -146,7 +146,7 @@ def condition(kind: str, own: Condition, strength: Strength) -> Condition:
     return replace(own, rate_bit_s=min(own.rate_bit_s or rate, rate))
 
 
-def link_fault(kind: str, selector: Selector, ground: Ground, strength: Strength) -> dict[str, str]:
+def link_fault(kind: str, selector: Selector, ground: NemesisTargets, strength: Strength) -> dict[str, str]:
     """A fault of links: each over the link's own condition, where that is one and the links are few."""
     links = select(selector, ground.links)
     each = {link: condition(kind, ground.conditions.get(link, Condition()), strength) for link in links}
@@ -177,7 +177,7 @@ class DrawnFault(NamedTuple):
     pieces: int = 1  # more: it flaps, and comes so often within its time
 
 
-def picks_of(nemesis: NemesisSection, ground: Ground) -> list[NemesisPick]:
+def picks_of(nemesis: NemesisSection, ground: NemesisTargets) -> list[NemesisPick]:
     """The kinds that may be drawn: the given ones, or every kind that fits the scenario.
 
     A fleet without links keeps its own.
@@ -197,14 +197,14 @@ def of_links(pick: NemesisPick) -> bool:
     return pick.drawn in CONDITIONS or isinstance(KINDS.get(pick.drawn or ""), OfLinks | PartitionFault)
 
 
-def span(nemesis: NemesisSection, ground: Ground) -> tuple[int, int]:
+def span(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[int, int]:
     """From when on faults begin, and when the last has ended [ns]."""
     duration, tick = ground.spec.duration, ground.spec.tick
     until = 3 * duration // 4 // tick * tick if nemesis.until is None else min(nemesis.until, duration)
     return nemesis.start or 0, until
 
 
-def draw(nemesis: NemesisSection, ground: Ground, until: int | None = None) -> list[DrawnFault]:
+def draw(nemesis: NemesisSection, ground: NemesisTargets, until: int | None = None) -> list[DrawnFault]:
     """The faults that the scenario's seed draws, in order of time.
 
     `until`: when all have ended [ns]; None: as the nemesis says.
@@ -250,7 +250,7 @@ def draw(nemesis: NemesisSection, ground: Ground, until: int | None = None) -> l
     return faults
 
 
-def written(drawn: Iterable[DrawnFault], ground: Ground) -> list[FaultSection]:
+def written(drawn: Iterable[DrawnFault], ground: NemesisTargets) -> list[FaultSection]:
     """The faults of a scenario that some drawn ones are, in order of time; aims look at those before them.
 
     A fault that finds no target, such as a bridge where nothing is one, is drawn at any.
@@ -268,7 +268,7 @@ def written(drawn: Iterable[DrawnFault], ground: Ground) -> list[FaultSection]:
     return sorted(faults, key=lambda fault: fault.at)
 
 
-def _times(one: DrawnFault, ground: Ground) -> Iterator[tuple[int, int]]:
+def _times(one: DrawnFault, ground: NemesisTargets) -> Iterator[tuple[int, int]]:
     """When each piece of a fault begins, and how long it lasts [ns]: a round or more, as the pause behind it."""
     pieces = min(one.pieces, max(1, (one.lasts // ground.round_ns + 1) // 2))
     length = one.lasts // (2 * pieces - 1) // ground.spec.tick * ground.spec.tick
@@ -279,7 +279,7 @@ def _times(one: DrawnFault, ground: Ground) -> Iterator[tuple[int, int]]:
 class _Past:
     """The links and vehicles that the faults written by now have cut and silenced."""
 
-    def __init__(self, ground: Ground) -> None:
+    def __init__(self, ground: NemesisTargets) -> None:
         self.pairs = ground.pairs
         self._cut: list[tuple[int, set[Pair]]] = []  # until when, which
         self._silent: list[tuple[int, int]] = []  # until when, who
@@ -300,7 +300,9 @@ class _Past:
         return max(back)[1] if back else None
 
 
-def _body(one: DrawnFault, lasts: int, ground: Ground, past: _Past) -> tuple[dict[str, Any], set[Pair], set[int]]:
+def _body(
+    one: DrawnFault, lasts: int, ground: NemesisTargets, past: _Past
+) -> tuple[dict[str, Any], set[Pair], set[int]]:
     """The body of a fault of so many ns, the pairs that it cuts, and the vehicles that it silences."""
     word = one.pick.drawn
     if word is None:
@@ -328,15 +330,15 @@ def _body(one: DrawnFault, lasts: int, ground: Ground, past: _Past) -> tuple[dic
     return {word: kind.of_strength(target, strength)}, cut, silent
 
 
-def _turn(one: DrawnFault, ground: Ground) -> float:
+def _turn(one: DrawnFault, ground: NemesisTargets) -> float:
     return uniform(ground.spec.seed, PURPOSE, one.number, _TURN)
 
 
-def _among(one: DrawnFault, ground: Ground, what: int, count: int) -> int:
+def _among(one: DrawnFault, ground: NemesisTargets, what: int, count: int) -> int:
     return bits(ground.spec.seed, PURPOSE, one.number, what) % count
 
 
-def _aimed(one: DrawnFault, ground: Ground, past: _Past) -> int | None:
+def _aimed(one: DrawnFault, ground: NemesisTargets, past: _Past) -> int | None:
     """The vehicle that a fault is aimed at; None: any."""
     match one.aim:
         case "leader":
@@ -349,12 +351,12 @@ def _aimed(one: DrawnFault, ground: Ground, past: _Past) -> int | None:
     return None
 
 
-def _bridge(one: DrawnFault, ground: Ground, past: _Past) -> Pair | None:
+def _bridge(one: DrawnFault, ground: NemesisTargets, past: _Past) -> Pair | None:
     found = bridges(past.left(one.at)) if one.aim == "bridge" else ()
     return found[_among(one, ground, _TARGET, len(found))] if found else None
 
 
-def _vehicle(one: DrawnFault, ground: Ground, past: _Past) -> int:
+def _vehicle(one: DrawnFault, ground: NemesisTargets, past: _Past) -> int:
     """The vehicle of a fault, among those with the part that the fault breaks."""
     has = {"clock": ground.clocks, "dead reckoning": ground.navigators, "fixes": ground.fixed}
     some = has.get(KINDS[one.pick.drawn or ""].needs) or tuple(range(1, ground.spec.vehicles + 1))
@@ -364,7 +366,7 @@ def _vehicle(one: DrawnFault, ground: Ground, past: _Past) -> int:
     return who if who in some else some[_among(one, ground, _TARGET, len(some))]
 
 
-def _links(one: DrawnFault, ground: Ground, past: _Past) -> Selector:
+def _links(one: DrawnFault, ground: NemesisTargets, past: _Past) -> Selector:
     """The links of a fault: both links of a pair, one of them, all links of a vehicle, or all links."""
     form = _among(one, ground, _FORM, 4)
     who = _aimed(one, ground, past)
@@ -381,7 +383,7 @@ def _links(one: DrawnFault, ground: Ground, past: _Past) -> Selector:
     return Selector(*pair, both=True)
 
 
-def _partition(one: DrawnFault, ground: Ground, past: _Past) -> str:
+def _partition(one: DrawnFault, ground: NemesisTargets, past: _Past) -> str:
     """The partition of a fault, as a scenario writes it; it cuts a link."""
     spec, name = ground.spec, f"nemesis-{one.number}"
     who = _aimed(one, ground, past)

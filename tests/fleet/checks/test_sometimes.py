@@ -11,7 +11,7 @@ from small_scenario import small
 from fleet.execution.stepped_run import judged
 from fleet.study.one_run import Task, make_run
 from fleet.study.row import Reached, Row, sometimes_names
-from fleet.study.search import Searched
+from fleet.study.search import SearchResult
 
 PYTHON = "checks={signal: {name: deep, topic: state.z, above: %s, sometimes: true}, "
 
@@ -60,5 +60,5 @@ def test_a_row_has_it_beside_the_checks() -> None:
 
 
 def test_no_bound_where_it_was_never_reached() -> None:
-    assert Searched("s", 1, runs=200, reached=[Reached("deep", 200, 1, 3)]).most_failures is not None
-    assert Searched("s", 1, runs=200, reached=[Reached("deep", 200, 0)]).most_failures is None
+    assert SearchResult("s", 1, runs=200, reached=[Reached("deep", 200, 1, 3)]).most_failures is not None
+    assert SearchResult("s", 1, runs=200, reached=[Reached("deep", 200, 0)]).most_failures is None

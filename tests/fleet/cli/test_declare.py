@@ -18,7 +18,7 @@ from fleet.cli.changes import Changes
 from fleet.cli.declare import DeclaredCommand, ShownOption, command
 from fleet.cli.hosts import HostsOptions
 from fleet.cli.main import cli
-from fleet.cli.study_options import Making, MakingStudy
+from fleet.cli.study_options import MakingStudy, WorkerOptions
 from fleet.cli.types import TIME, Effect, Fallback, Words
 from fleet.execution.options import Options
 from fleet.option import NEEDED, Kind, Limits, Option, fields
@@ -84,7 +84,7 @@ def test_fields_that_are_no_options_are_known() -> None:
     """A field whose type only the type checker can read is none, so a lost import would take an option away."""
     inner = {"on_published", "start", "start_order", "rendezvous", "relay"}
     assert set(Options.__dataclass_fields__) - set(fields(Options)) == inner
-    for kind in (HostsOptions, PlaybackOptions, Making, MakingStudy, Changes):
+    for kind in (HostsOptions, PlaybackOptions, WorkerOptions, MakingStudy, Changes):
         assert set(kind.__dataclass_fields__) == set(fields(kind))
     for spec in (StudySpec, BoundarySpec):
         assert set(spec.__struct_fields__) == set(fields(spec))

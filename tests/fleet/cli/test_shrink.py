@@ -10,7 +10,7 @@ from small_scenario import SMALL, small
 from study_engine import made_here
 from tool import invoke
 
-from fleet.cli.documents.studies import Less
+from fleet.cli.documents.studies import ShrunkScenario
 from fleet.cli.search import write_least
 from fleet.execution.stepped_run import run
 from fleet.study.errors import StudyError
@@ -51,7 +51,7 @@ def test_a_scenario_that_cannot_be_written_after_all_is_printed(tmp_path: Path) 
 
 def test_json_says_what_was_removed() -> None:
     result = invoke("shrink", "small.yaml", "--json")
-    found = msgspec.json.decode(result.stdout, type=Less)
+    found = msgspec.json.decode(result.stdout, type=ShrunkScenario)
     assert (found.file, found.scenario, found.check) == ("small-least.yaml", "small", "formation_error")
     assert found.steps[0] == "1 of 2 faults are needed"
     assert (found.before.faults, found.after.faults) == (2, 1)

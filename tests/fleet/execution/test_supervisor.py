@@ -17,7 +17,7 @@ from fleet.execution.supervisor import CONTROLLER_FAILED, Supervisor
 from fleet.processes.children import FORKSERVER_LOST, Exit
 from fleet.recorder.journal import Journal
 from fleet.scenario.loading import load_scenario
-from netem.wire.access import agent_role
+from netem.wire.credentials import agent_role
 from netem.wire.messages import Death, Restart
 
 

@@ -26,7 +26,7 @@ from fleet.errors import FleetError
 from fleet.hosts import router_config
 from fleet.hosts.rendezvous import Rendezvous, listening, listening_for_certificates, parse_endpoint, read_credentials
 from fleet.scenario.loading import load_scenario
-from netem.wire.access import Credentials, Listener, agent_role
+from netem.wire.credentials import Credentials, Listener, agent_role
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 

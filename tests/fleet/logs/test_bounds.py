@@ -23,13 +23,13 @@ from tool import invoke
 from waiting import wait_for
 
 import fleet
-from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, tape, topic
+from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, seekable_log, topic
 from fleet.logs.info import info_text, read_info
 from fleet.logs.open_log import Opening, Part
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.terminal import status_line
+from netem.files import whole_file
 from netem.limits import LOG_FAULTS, LOG_MESSAGE, LOG_RECORD, LOG_REST
-from netem.private_file import whole_file
 
 MIB = 1 << 20
 LIMIT_S = 60.0
@@ -131,11 +131,11 @@ def test_a_message_of_too_many_values_is_bytes(monkeypatch: pytest.MonkeyPatch, 
 
 def test_a_tape_holds_little_at_a_time(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Any message, and any time, by looking at a stretch of the file."""
-    monkeypatch.setattr(tape, "_HELD", 0)
+    monkeypatch.setattr(seekable_log, "_HELD", 0)
     whole = list(LogReader(run))
-    found = tape.Tape(run)
+    found = seekable_log.SeekableLog(run)
     chosen = {n for n, c in found.channels.items() if c.topic.startswith("link/") or c.topic == "uuv/1/state"}
-    track = tape.Track(found, chosen)
+    track = seekable_log.Track(found, chosen)
     expected = [(n, r) for n, r in enumerate(whole) if r.topic.startswith("link/") or r.topic == "uuv/1/state"]
     assert len(track) == len(expected)
     for some in (range(len(track)), range(3, 300)):

@@ -17,12 +17,12 @@ from traffic import records as records
 from traffic import times
 
 from fleet.logs.reader import LogReader, LogReadError, Record, log_path
-from fleet.logs.tape import Entry, Tape, Track
+from fleet.logs.seekable_log import Entry, SeekableLog, Track
 
 
 def test_tape_holds_what_the_reader_reads(log: Path, records: list[Record]) -> None:
     """Any message by its number, forwards and backwards."""
-    tape = Tape(log)
+    tape = SeekableLog(log)
     assert len(tape) == len(records) and tape.missing == ""
     for number in [*range(0, len(tape), 97), *reversed(range(0, len(tape), 89))]:
         entry, record = tape[number], records[number]
@@ -57,7 +57,7 @@ def other_file(path: Path, compression: CompressionType, *, chunked: bool) -> Pa
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_tape_reads_files_of_others(tmp_path: Path, compression: CompressionType, chunked: bool) -> None:
     """Every compression, with chunks or without."""
-    tape = Tape(other_file(tmp_path / "x.mcap", compression, chunked=chunked))
+    tape = SeekableLog(other_file(tmp_path / "x.mcap", compression, chunked=chunked))
     assert [tape[n].data for n in range(len(tape))] == in_order(100)
     assert times(tape) == sorted(times(tape)) and tape.profile == "ros2"
 
@@ -70,7 +70,7 @@ def test_every_cut_of_a_file_is_a_tape_or_an_error(tmp_path: Path) -> None:
     for size in range(0, len(whole), 23):
         path.write_bytes(whole[:size])
         try:
-            tape = Tape(path)
+            tape = SeekableLog(path)
         except LogReadError:
             continue
         assert [tape[n].data for n in range(len(tape))] == in_order(len(tape))
@@ -84,8 +84,8 @@ def test_a_flipped_byte_ends_the_tape(log: Path, tmp_path: Path) -> None:
     whole[len(whole) * 2 // 3] ^= 1
     path = tmp_path / "bad.mcap"
     path.write_bytes(whole)
-    tape = Tape(path)
-    assert 0 < len(tape) < len(Tape(log))
+    tape = SeekableLog(path)
+    assert 0 < len(tape) < len(SeekableLog(log))
     assert "damaged" in tape.missing or "cut" in tape.missing
 
 
@@ -107,13 +107,13 @@ def test_a_tape_is_in_the_order_of_log_times(
     log.write_bytes(file[0])
     expected = sorted(file[1], key=lambda message: message.log_time)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fleet.logs.tape._STRETCH", stretch)
-        patch.setattr("fleet.logs.tape._HELD", held)
+        patch.setattr("fleet.logs.seekable_log._STRETCH", stretch)
+        patch.setattr("fleet.logs.seekable_log._HELD", held)
         if not expected:
             with pytest.raises(LogReadError, match="holds no message"):
-                Tape(log)
+                SeekableLog(log)
             return
-        tape = Tape(log)
+        tape = SeekableLog(log)
         rows = [row(tape.channels[one.channel_id], one) for one in expected]
         assert [row(tape[n].channel, tape[n]) for n in range(len(tape))] == rows
         assert times(tape) == [message.log_time for message in expected]
@@ -160,7 +160,7 @@ def test_a_split_bag_is_one_log(tmp_path_factory: pytest.TempPathFactory, parts:
     assert len({channel.topic for channel in reader.channels.values()}) == len(reader.channels) == len(reader.schemas)
     for channel in reader.channels.values():
         assert reader.schemas[channel.schema_id].data == channel.topic.strip("/").encode()
-    tape = Tape(log_path(folder))
+    tape = SeekableLog(log_path(folder))
     assert [(tape[n].channel.topic, tape[n].log_ns, tape[n].data) for n in range(len(tape))] == sorted(
         whole, key=lambda one: one[1]
     )

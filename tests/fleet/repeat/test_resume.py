@@ -23,7 +23,7 @@ from tool import invoke
 from fleet.errors import FleetError
 from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
-from fleet.execution.triggered import fired
+from fleet.execution.triggered import resolve_triggers
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import OLD_START
@@ -283,7 +283,7 @@ def test_triggers_look_at_the_run_that_goes_on(recorded: Alone, tmp_path: Path) 
         for name, value in (("early", early), ("late", late))
     )
     scenario, start = continuation(log, 10**9, [f"triggers=[{triggers}]"])
-    begun = [(fault.id, fault.at) for fault in fired(scenario, start).spec.faults]
+    begun = [(fault.id, fault.at) for fault in resolve_triggers(scenario, start).spec.faults]
     assert [name for name, _ in begun] == ["late"]
     assert 1.6e9 < begun[0][1] < 2.0e9
     goes_on = execute(scenario, Options(tmp_path, quiet=True, start=start))

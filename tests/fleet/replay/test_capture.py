@@ -22,7 +22,7 @@ from waiting import wait_for
 
 from fleet.logs.info import info_text, read_info
 from fleet.logs.reader import LogReader
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.replay import capture
 from fleet.replay.capture import ATTACHMENT, KIND, PublisherGone, TrafficWriter, message_encoding, zenoh_encoding
 from fleet.replay.topics import Stamp, pack, unpack
@@ -108,7 +108,7 @@ def test_other_traffic_comes_back_as_it_was(tmp_path: Path) -> None:
             after = time.time_ns()  # noqa: TID251
         recorder.send(signal.SIGTERM)
         assert recorder.status() == 130, recorder.printed
-    tape = Tape(path)
+    tape = SeekableLog(path)
     assert tape.missing == "" and tape.profile == "zenoh"
     assert all(before - 10**9 <= int(t) <= after + 10**9 for t in times(tape))
     # A router stamps what passes through it.
@@ -131,7 +131,7 @@ def heard_again(path: Path, key: str, *options: str) -> list[ZenohSample]:
 
 
 def test_writer_keeps_timestamps(tmp_path: Path) -> None:
-    tape = Tape(traffic(tmp_path / "x.mcap", SAMPLES))
+    tape = SeekableLog(traffic(tmp_path / "x.mcap", SAMPLES))
     stamped = [tape[n] for n in range(len(tape)) if tape[n].channel.topic == "robot/1/status"]
     assert stamped[1].publish_ns == 1_600_000_000_123_456_789
     assert stamped[1].log_ns == 1_700_000_000_001_000_000
@@ -168,7 +168,7 @@ def test_the_file_of_a_killed_recorder_plays(tmp_path: Path) -> None:
             wait_for(put_until_it_has_grown_twice, LIMIT_S)
             recorder.send(signal.SIGKILL)
             recorder.status()
-    tape = Tape(path)
+    tape = SeekableLog(path)
     assert "cut" in tape.missing
     assert [tape[n].data for n in range(len(tape))] == [b"%d" % n for n in range(len(tape))]
     assert len(tape) >= written[-1]
@@ -196,7 +196,7 @@ def test_recording_of_a_run_ends_with_it(tmp_path: Path) -> None:
             assert "the run is over" in recorder.printed
         wait_for(lambda: run.over, LIMIT_S, "the end of the run")
         written = LogReader(run.directory / "run.mcap")
-        tape = Tape(tmp_path / "a.mcap")
+        tape = SeekableLog(tmp_path / "a.mcap")
         found, expected = [tape[n].data for n in range(1, len(tape), 2)], [record.data for record in written]
         assert len(found) > 100 and found == expected[: len(found)]
 

@@ -26,7 +26,7 @@ from waiting import wait_for
 
 from fleet.errors import FleetError
 from fleet.logs.reader import Record
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.processes.interrupts import holding_interrupts
 from fleet.replay.capture import ENCODING, zenoh_encoding
 from fleet.replay.playback import PlaybackOptions, Replay
@@ -68,7 +68,7 @@ class LateLine:
 
 
 def test_the_first_line_has_the_pace(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    replay, nobody = Replay(Tape(log), PlaybackOptions()), Nobody()
+    replay, nobody = Replay(SeekableLog(log), PlaybackOptions()), Nobody()
     line = LateLine(nobody)
     monkeypatch.setattr("fleet.replay.playback.time", nobody)
     with session(OpenBus.listen(endpoint())) as bus:
@@ -132,7 +132,7 @@ def test_what_is_latched_is_sent_after_every_jump(
     """After each, a subscriber knows the last message of each latched topic, as if all had been played."""
     script = Script(dict(keys), until=2.9)
     monkeypatch.setattr("fleet.replay.playback.time", script)
-    replay = Replay(Tape(of_others(tmp_path / "x.mcap")), PlaybackOptions(**options))
+    replay = Replay(SeekableLog(of_others(tmp_path / "x.mcap")), PlaybackOptions(**options))
     replay.open(script)  # type: ignore[arg-type]
     with pytest.raises(KeyboardInterrupt):
         replay.play(script, LateLine(Nobody()))  # type: ignore[arg-type]
@@ -159,7 +159,7 @@ def test_topics_that_are_no_keys_are_left_out(tmp_path: Path) -> None:
             writer.add_message(writer.register_channel(topic, "", 0), 1, b"1", 1)
         writer.finish()
     script = Script({}, 1.0)
-    replay = Replay(Tape(path), PlaybackOptions(speed=0.0))
+    replay = Replay(SeekableLog(path), PlaybackOptions(speed=0.0))
     replay.open(script)  # type: ignore[arg-type]
     replay.play(script, LateLine(script))  # type: ignore[arg-type]
     assert {topic for topic, _ in script.published} == {"good", "also good"}
@@ -182,7 +182,7 @@ def test_replay_gives_a_recorder_the_log(topics: list[str], log: Path, records: 
         recorder.send(signal.SIGINT)
         assert recorder.status() == 130, recorder.printed
         assert f"recorded {len(expected)} messages" in recorder.printed
-    tape = Tape(path)
+    tape = SeekableLog(path)
     assert tape.missing == ""
     assert len(tape) == 2 * len(expected)
     schemas = schemas_of(log)
@@ -216,7 +216,7 @@ def test_part_of_a_log(log: Path, records: list[Record]) -> None:
 
 def test_whoever_listens_can_ask_for_topics_and_schemas(log: Path) -> None:
     """The descriptor set under fleet/{run}/schema/{name} is the log's, and the topics are those that are played."""
-    tape = Tape(log)
+    tape = SeekableLog(log)
     replay = Replay(tape, PlaybackOptions(topics=("uuv/1/*", "transforms")))
     with session(OpenBus.listen(where := endpoint())) as bus, session(OpenBus.connect(where)) as client:
         replay.open(bus)

@@ -30,7 +30,7 @@ from fleet.replay.publisher import BATCH_BYTES, LivePublisher
 from fleet.replay.topics import unpack
 from fleet.scenario.loading import load_scenario
 from netem.errors import BusError
-from netem.wire.access import Credentials
+from netem.wire.credentials import Credentials
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
 

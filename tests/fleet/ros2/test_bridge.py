@@ -20,7 +20,7 @@ from waiting import wait_for
 from fleet.errors import FleetError
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import digest
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.ros2.bridge import RosBridge, play_log
 from fleet.ros2.mapping import TF_STATIC
 from fleet.ros2.node import RosNode, open_ros_session
@@ -32,13 +32,13 @@ from netem.wire.ros_bus import SESSION_FILE, SETTINGS, RosBus
 pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
 
 
-def bridge_of(log: Path, node: RosNode) -> tuple[RosBridge, Tape]:
-    tape = Tape(log)
+def bridge_of(log: Path, node: RosNode) -> tuple[RosBridge, SeekableLog]:
+    tape = SeekableLog(log)
     schemas = {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()}
     return RosBridge(node, Translation(node.types, schemas)), tape
 
 
-def play(bridge: RosBridge, tape: Tape) -> None:
+def play(bridge: RosBridge, tape: SeekableLog) -> None:
     with going_on(lambda keys, line: play_log(bridge, tape, keys, line, rate=1000.0, loop=False)):
         wait_for(lambda: bridge.at_ns == tape.end_ns, LIMIT_S, "the end")
 

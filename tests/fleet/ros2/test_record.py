@@ -16,7 +16,7 @@ from traffic import LIMIT_S, Command
 from traffic import log as log
 from waiting import wait_for
 
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.ros2.bridge import RosBridge, play_log
 from fleet.ros2.node import RosNode
 from fleet.ros2.record import BagWriter
@@ -39,7 +39,7 @@ def read(folder: Path) -> dict[str, list[Any]]:
 
 def test_what_a_fleet_publishes_is_recorded(log: Path, tmp_path: Path) -> None:
     """Also the transforms that were published before the recorder came."""
-    tape = Tape(log)
+    tape = SeekableLog(log)
     with ros_router() as (bus, endpoint):
         schemas = {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()}
         bridge = RosBridge(RosNode(bus, types_of(), 0, "fleet"), Translation(types_of(), schemas))

@@ -11,7 +11,7 @@ from fleet.checks.triggers import Triggers
 from fleet.checks.values import LoggedValues
 from fleet.errors import ScenarioError
 from fleet.execution.stepped_run import judged
-from fleet.execution.triggered import fired
+from fleet.execution.triggered import resolve_triggers
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
@@ -95,9 +95,9 @@ BOTH = LEADS % ("", "for: 4 s, wait: 200 ms,") + LEADS % ("", "nth: 2, for: 1 s,
 def test_the_run_is_that_of_the_faults_at_their_times(seed: int, changes: tuple[str, ...]) -> None:
     """In the emulator and in a bare run; and the faults are those that the log of the run has."""
     scenario = election(BOTH, f"seed={seed}", *changes)
-    ordinary = fired(scenario)
+    ordinary = resolve_triggers(scenario)
     assert not ordinary.spec.triggers and len(ordinary.spec.faults) >= 4
-    assert fired(ordinary) is ordinary
+    assert resolve_triggers(ordinary) is ordinary
     result = judged(scenario)
     assert result.digest == judged(ordinary).digest
     bare = _BareRun(scenario)
@@ -116,7 +116,7 @@ def test_a_fault_that_acts_on_nothing_is_left_out() -> None:
     one_way = ("graph={edges: {1->2: 1, 2->3: 1, 3->4: 1}}", "agent.parameters.quorum=side")
     scenario = election("  - {when: {topic: control.leads, above: 0, vehicles: 4}, fault: {down: itself->*}}\n",
                         *one_way)  # fmt: skip
-    assert fired(scenario).spec.faults == []
+    assert resolve_triggers(scenario).spec.faults == []
 
 
 ONE_WAY = "graph={edges: {1->2: 1, 2->3: 1, 3->4: 1}}"

@@ -12,7 +12,7 @@ from fleet.logs.reader import LogReader
 from fleet.recorder.log_file import LogFile
 from fleet.ros2.types import types_of
 from fleet.stack.messages import MessageLog, place_of
-from netem.relay_process import Said
+from netem.relay_process import LoggedMessage
 
 pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -64,7 +64,7 @@ def test_without_the_extra_a_message_has_its_bytes(tmp_path: Path, monkeypatch: 
     name = key("auv1/pose", POSE)
     monkeypatch.setattr("fleet.logs.dataset.find_spec", lambda name: None)
     log = LogFile(tmp_path / "run.mcap")
-    MessageLog(log, 1_000_000, ("auv1",)).write(Said(5, 1, name, "put", "application/cdr", b"abc"))
+    MessageLog(log, 1_000_000, ("auv1",)).write(LoggedMessage(5, 1, name, "put", "application/cdr", b"abc"))
     log.close()
     reader = LogReader(tmp_path / "run.mcap")
     assert [bytes(record.data) for record in reader] == [b"abc"]
@@ -74,9 +74,9 @@ def test_without_the_extra_a_message_has_its_bytes(tmp_path: Path, monkeypatch: 
 def test_a_known_type_has_its_schema_and_others_their_encoding(tmp_path: Path) -> None:
     log = LogFile(tmp_path / "run.mcap")
     messages = MessageLog(log, 1_000_000, ("auv1", "auv2"))
-    messages.write(Said(5, 1, key("auv1/pose", POSE), "put", "application/cdr", pose(0.0, 0.0, 0.0, 0.0, 1.0)))
-    messages.write(Said(6, 2, "auv2/x", "put", "application/json", b"{}"))
-    messages.write(Said(7, 2, "auv2/x", "query", "", b"?"))
+    messages.write(LoggedMessage(5, 1, key("auv1/pose", POSE), "put", "application/cdr", pose(0.0, 0.0, 0.0, 0.0, 1.0)))
+    messages.write(LoggedMessage(6, 2, "auv2/x", "put", "application/json", b"{}"))
+    messages.write(LoggedMessage(7, 2, "auv2/x", "query", "", b"?"))
     log.close()
     reader = LogReader(tmp_path / "run.mcap")
     assert [record.log_ns for record in reader] == [5_000_000, 6_000_000, 7_000_000]

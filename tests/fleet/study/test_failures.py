@@ -17,7 +17,7 @@ from fleet.study.modules import NO_MODULES
 from fleet.study.one_run import Task
 from fleet.study.rare import RareEvent, Splitting
 from fleet.study.record import NAME, read_record
-from fleet.study.search import Searched, search
+from fleet.study.search import SearchResult, search
 
 NEMESIS = "nemesis={every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}"
 CHECKS = (
@@ -27,7 +27,7 @@ CHECKS = (
 )
 
 
-def searched(folder: Path, engine: Here | None = None, runs: int = 8) -> Searched:
+def searched(folder: Path, engine: Here | None = None, runs: int = 8) -> SearchResult:
     keep = FailureFolder(folder)
     return search(small(NEMESIS, CHECKS), engine or Here(), lambda runs: None, most_runs=runs, keep=keep)
 

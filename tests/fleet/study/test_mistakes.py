@@ -16,8 +16,8 @@ from fleet.scenario.text.overrides import NET, SET, Override
 from fleet.scenario.text.yaml_reader import Source
 from fleet.study.borders import parse_along
 from fleet.study.failures import INDEX, FailureFolder, Regression
-from fleet.study.given import set_values, varied
 from fleet.study.measures import find_columns, signal_columns_of
+from fleet.study.option_values import set_values, varied
 from fleet.study.plan import Plan, parse_seeds
 from fleet.study.stopping import check_until
 from fleet.study.study_file import parse_study

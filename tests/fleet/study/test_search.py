@@ -18,14 +18,14 @@ from fleet.scenario.sections.episodes import chance
 from fleet.study.bare_run import bare_verdicts
 from fleet.study.one_run import Task
 from fleet.study.row import CheckRow, Covered, Row
-from fleet.study.search import Searched, nemesis_of, search
+from fleet.study.search import SearchResult, nemesis_of, search
 from fleet.study.statistics import most_failures
 
 NEMESIS = "nemesis={every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}"
 CHECK = "checks={formation_error: {below: 4.6 m, after: 800 ms}, tumbled: waived}"
 
 
-def searched(*overrides: str, engine: Here | None = None, **options: Any) -> Searched:
+def searched(*overrides: str, engine: Here | None = None, **options: Any) -> SearchResult:
     return search(small(*overrides), engine or Here(), lambda runs: None, **({"most_runs": 12} | options))
 
 

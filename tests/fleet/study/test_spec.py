@@ -21,7 +21,7 @@ from fleet.errors import printable
 from fleet.option import fields
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from fleet.scenario.text.yaml_reader import Source, yaml_text
-from fleet.study.given import BoundaryKeywords, SweepKeywords, keywords, seeds_text, set_values
+from fleet.study.option_values import BoundaryKeywords, SweepKeywords, keywords, seeds_text, set_values
 from fleet.study.plan import plan_of
 from fleet.study.spec import BoundarySpec, Spec, StudySpec
 from fleet.study.study_file import is_file, parse_study, study_yaml

@@ -23,7 +23,7 @@ from waiting import wait_for
 from fleet.errors import FleetError
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.replay.live_journal import LiveJournal, pack_counts
 from fleet.replay.observed import Observed, host_observed, new_observed
 from fleet.replay.playback import PlaybackOptions, Replay
@@ -31,7 +31,7 @@ from fleet.replay.topics import Stamp, pack
 from fleet.terminal.status_line import StatusLine
 from fleet.view.foxglove_live import OVER, LiveBridge
 from fleet.view.source import LiveSource, find_source
-from netem.wire.access import Credentials
+from netem.wire.credentials import Credentials
 from netem.wire.keys import Keys
 from netem.wire.open_bus import OpenBus
 
@@ -67,7 +67,7 @@ def watched(bridge: LiveBridge) -> Iterator[Viewer]:
 def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
     """And what tells the time. The publisher sees who subscribes; a replay stands in for a run here."""
     observed = new_observed(endpoint(), "replay")
-    replay = Replay(Tape(log), PlaybackOptions(speed=0.0))
+    replay = Replay(SeekableLog(log), PlaybackOptions(speed=0.0))
     publisher = host_observed(observed)
     replay.open(publisher)
 
@@ -80,7 +80,7 @@ def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
             LiveSource(tmp_path, observed, None), LiveJournal(bus, Keys(observed.run)), "127.0.0.1", 0, control=False
         )
         with watched(bridge) as watcher:
-            assert set(watcher.channels) == {c.topic for c in Tape(log).channels.values()}
+            assert set(watcher.channels) == {c.topic for c in SeekableLog(log).channels.values()}
             assert not watcher.services and watcher.infos[0]["capabilities"] == ["time"]
             watcher.subscribe("uuv/2/state", "link/1-2")
             wait_for(lambda: fetched() == {"transforms", "uuv/2/state", "link/1-2"}, LIMIT_S, "subscriptions")
@@ -99,7 +99,7 @@ def test_who_only_watches_cannot_control(log: Path, tmp_path: Path) -> None:
     """With the observer's credentials and nothing else there are no services, whatever is asked for."""
     observed = new_observed(endpoint(), "replay")
     with session(host_observed(observed)) as publisher, joined(observed) as bus:
-        Replay(Tape(log), PlaybackOptions()).open(publisher)
+        Replay(SeekableLog(log), PlaybackOptions()).open(publisher)
         with pytest.raises(FleetError, match="only what an observer needs is at hand"):
             LiveBridge(
                 LiveSource(tmp_path, observed, None), LiveJournal(bus, Keys(observed.run)), "127.0.0.1", 0, control=True

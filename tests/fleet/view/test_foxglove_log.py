@@ -15,7 +15,7 @@ from traffic import records as records
 from waiting import wait_for
 
 from fleet.logs.reader import Record
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.terminal.keyboard import Key
 from fleet.view.foxglove_log import LogBridge
 
@@ -24,14 +24,14 @@ S = 1_000_000_000
 
 @contextmanager
 def shown(log: Path, *, rate: float = 1.0, loop: bool = False) -> Iterator[tuple[Viewer, Fingers]]:
-    bridge = LogBridge(Tape(log), "127.0.0.1", 0, rate=rate, loop=loop)
+    bridge = LogBridge(SeekableLog(log), "127.0.0.1", 0, rate=rate, loop=loop)
     with closing(bridge.server), going_on(bridge.run) as fingers, viewer(bridge.server.endpoint) as found:
         yield found, fingers
 
 
 def test_a_viewer_gets_the_log(log: Path, records: list[Record]) -> None:
     """All topics with the log's schemas, in simulated time; of those it subscribes to every message, byte for byte."""
-    tape = Tape(log)
+    tape = SeekableLog(log)
     topics = ("uuv/1/state", "link/1-2", "scene")
     with shown(log) as (watcher, _):
         info = watcher.infos[0]
@@ -78,7 +78,7 @@ def test_a_viewer_controls_how_a_log_is_played(log: Path, records: list[Record])
 
 def test_only_what_is_asked_for_is_decoded(log: Path, records: list[Record]) -> None:
     """A second topic comes with its last message; one that is given up comes no more; without a viewer it waits."""
-    bridge = LogBridge(Tape(log), "127.0.0.1", 0, rate=1.0, loop=False)
+    bridge = LogBridge(SeekableLog(log), "127.0.0.1", 0, rate=1.0, loop=False)
     with closing(bridge.server), going_on(bridge.run):
         with viewer(bridge.server.endpoint) as watcher:
             watcher.control(play=False, seek_ns=1 * S)

@@ -18,7 +18,7 @@ from small_scenario import small
 
 from fleet.logs.decoder import decoded
 from fleet.logs.reader import LogReadError
-from fleet.logs.tape import Tape
+from fleet.logs.seekable_log import SeekableLog
 from fleet.view.feed import TRANSFORMS, fault_message, is_lost, take
 from fleet.view.log_feed import LogFeed
 from fleet.view.view_state import ViewState
@@ -101,7 +101,7 @@ def test_more_faults_than_anybody_can_look_at_are_refused(
     alone: Alone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = log_of(alone("paper", "duration=500 ms", "checks={}"))
-    (number,) = (number for number, channel in Tape(log).channels.items() if channel.topic == "faults")
+    (number,) = (number for number, channel in SeekableLog(log).channels.items() if channel.topic == "faults")
     some = b"".join(record(Opcode.MESSAGE, MESSAGE.pack(number, k, 10**8, 10**8)) for k in range(5))
     strange = with_record(log, chunk(some, 10**8, 10**8), tmp_path / "a.mcap")
     monkeypatch.setattr("fleet.view.log_feed.LOG_FAULTS", LOG_FAULTS._replace(items=4))

@@ -18,9 +18,9 @@ from fleet.hosts import certificates
 from fleet.processes.children import RunFolder
 from netem.errors import BusError
 from netem.limits import WIRE_MESSAGE
-from netem.wire.access import CONSOLE, NETEM, Credentials, Listener, agent_role, generate
 from netem.wire.bus import Bus
 from netem.wire.certificate_router import CertificateRouter
+from netem.wire.credentials import CONSOLE, NETEM, Credentials, Listener, agent_role, generate
 from netem.wire.keys import Keys
 from netem.wire.session import UNIVERSAL, client_settings, client_tls, open_session
 

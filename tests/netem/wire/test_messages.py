@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from fleet.protocol.page import declared, fields_of, records, texts
 from netem.errors import MalformedMessage
 from netem.wire.codec import decode, encode, expect
+from netem.wire.mailbox import read_map
 from netem.wire.messages import Command, Grant, Hello, Message, Nav
-from netem.wire.shell import read_map
 
 
 def plainest(wire: str) -> Any:

@@ -19,7 +19,7 @@ from waiting import wait_for
 from netem.errors import BusError
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.queues import Inlet
-from netem.wire.robots import Checked, Meeting, Robot, Ticket, Token, read
+from netem.wire.robots import Checked, Robot, RobotEndpoint, Ticket, Token, read
 from netem.wire.session import open_session
 
 LIMIT_S = 60.0
@@ -37,7 +37,7 @@ class Net:
     def __init__(self) -> None:
         port = free_port()
         self.queue: SimpleQueue[Any] = SimpleQueue()
-        self.robot = Robot(Meeting(1, "auv1", listen=f"tcp/127.0.0.1:{port}"), CARRY, Inlet(self.queue.put))
+        self.robot = Robot(RobotEndpoint(1, "auv1", listen=f"tcp/127.0.0.1:{port}"), CARRY, Inlet(self.queue.put))
         self.robot.begin()
         self.program = program(port)
 
@@ -223,7 +223,7 @@ def test_who_listens_on_a_unix_socket_removes_nothing_of_others(tmp_path: Path, 
     before = sorted((p.name, p.lstat().st_ino) for p in tmp_path.iterdir())
     with pytest.raises(zenoh.ZError, match="is there already"):
         listens(tmp_path / "x")
-    meeting = Meeting(1, "auv1", listen=f"unixsock-stream/{tmp_path / 'x'}")
+    meeting = RobotEndpoint(1, "auv1", listen=f"unixsock-stream/{tmp_path / 'x'}")
     with pytest.raises(BusError, match="is there already"):
         Robot(meeting, ["**"], Inlet(print))
     assert sorted((p.name, p.lstat().st_ino) for p in tmp_path.iterdir()) == before
@@ -250,5 +250,5 @@ def test_a_file_of_zenoh_adds_no_addresses(tmp_path: Path) -> None:
     port = free_port()
     there = open_session("router", {"listen/endpoints": [f"tcp/127.0.0.1:{port}"]})
     with closing(there):
-        Robot(Meeting(1, "a", connect=f"tcp/127.0.0.1:{port}", config=str(file)), ["**"], Inlet(print)).close()
+        Robot(RobotEndpoint(1, "a", connect=f"tcp/127.0.0.1:{port}", config=str(file)), ["**"], Inlet(print)).close()
     assert (tmp_path / "thesis").read_text() == "years of work"

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import msgpack
 
 from netem.errors import MalformedMessage, OutOfPlace
-from netem.wire.access import LEASE_MS, Credentials
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
+from netem.wire.credentials import LEASE_MS, Credentials
 from netem.wire.keys import tail, vehicle_of
 from netem.wire.messages import Note
 from netem.wire.queues import Quota
@@ -77,7 +77,7 @@ class Item(NamedTuple):
     respond: Respond | None
 
 
-class Shell:
+class Mailbox:
     """The queue of one process, with the bus that feeds it."""
 
     def __init__(self, bus: Bus, role: str, note_key: str) -> None:

@@ -12,7 +12,7 @@ from netem.condition import Condition, Link
 Pair = tuple[int, int]  # of vehicles that share a link in either direction, the lower number first
 
 
-class Ground(NamedTuple):
+class NemesisTargets(NamedTuple):
     """A fleet as a nemesis sees it."""
 
     spec: ScenarioSpec

@@ -48,7 +48,7 @@ class _Piece(NamedTuple):
     first: int  # number of its first message in the order of the file
 
 
-class Tape:
+class SeekableLog:
     """The messages of a log in the order of their log times; those of the same time in the order of the file."""
 
     def __init__(self, path: Path, tell: Tell = lambda _: None) -> None:
@@ -200,7 +200,7 @@ class Tape:
 class Track:
     """The messages of some channels of a tape, by their numbers among themselves, with the times when they are due."""
 
-    def __init__(self, tape: Tape, channels: Collection[int]) -> None:
+    def __init__(self, tape: SeekableLog, channels: Collection[int]) -> None:
         self._tape = tape
         self._channels = np.fromiter(channels, np.uint16, len(channels))
         self._firsts = array("Q")

@@ -37,13 +37,8 @@ from netem.wire.session import quiet_zenoh
 MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
 MOST_NOTES = 1000
 SILENT_NS = 10_000_000_000  # then another program may take the place of the sender of datagrams
-MOST_KEYS = 10  # of a robot that a note names
 SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is named
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
-_MOST_CHECKS = 5  # of tokens that go in a round: a router looks through all that it has each time
-_MOST_CHECKED = 200  # tokens; with more of them there is no check
-_LOOK_ROUNDS = 10  # between two looks at the keys of publishers: shorter than a program usually lives
-_END_S = 1.0  # for the last look
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
 
@@ -143,8 +138,6 @@ class RelayProcess:
         self._waiting_bytes = 0
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
         self._tokens: dict[str, set[int]] = {}  # by key: the robots that have it
-        self._leaving: dict[tuple[int, str], int] = {}  # tokens that are gone: how many robots are still asked for them
-        self._checks = 0  # of tokens that are gone, in this round
         self._coming: dict[Link, dict[str, int]] = {}  # when a token is to appear at the end of a link [ns]
         self._shown: dict[Link, set[str]] = {link: set() for link in setup.config.links}
         self._kept_ns: dict[int, int] = {}  # by robot: how long it let a message wait at most
@@ -203,11 +196,7 @@ class RelayProcess:
                 if reported * config.round_ticks >= self._setup.ticks:
                     self._end = self._setup.ticks
                     break
-                self._checks = 0
                 self._discover(now)
-                if reported % _LOOK_ROUNDS == 0:
-                    for robot in self._robots.values():
-                        robot.look()
                 self._report(reported * config.round_ticks)
         self._last(min(self._end, self._setup.ticks))
 
@@ -217,8 +206,6 @@ class RelayProcess:
         match item:
             case Token():
                 self._announced(item)
-            case robots.Checked(gone):
-                self._checked(gone)
             case robots.Linked():
                 self._linked(item)
             case _Datagram(port, at_ns, payload, sender):
@@ -355,18 +342,16 @@ class RelayProcess:
         if not robot.carries(key):
             return
         links = [(token.robot, dst) for dst in self._hearers.get(token.robot, ())]
-        holders, name = self._tokens.get(key, set()), (token.robot, key)
+        holders = self._tokens.get(key, set())
         if not token.alive:
-            if token.robot in holders and name not in self._leaving:
-                self._checks += 1
-                asks = self._checks <= _MOST_CHECKS and len(self._tokens) <= _MOST_CHECKED
-                asked = [self._robots[link[1]] for link in links if asks and key in self._shown[link]]
-                self._leaving[name] = len(asked) + 1
-                for other in asked:
-                    other.check(token)
-                self._checked(token)
+            if token.robot in holders:
+                holders.remove(token.robot)
+                if not holders:
+                    del self._tokens[key]
+                for link in links:
+                    self._coming.get(link, {}).pop(key, None)
+                    self._hide(link, key)
             return
-        self._leaving.pop(name, None)
         if token.robot in holders:
             return
         if len(self._tokens) >= TOKENS.items:
@@ -378,25 +363,6 @@ class RelayProcess:
                 self._coming.setdefault(link, {})[key] = monotonic_ns() + self._relay.latency_ns(link)
             else:
                 self._show(link, key)
-
-    def _checked(self, gone: Token) -> None:
-        """Hide a token that is gone at its robot when all that show it have said whether they have it, too. If one has
-        it, the others see it without interruption.
-        """
-        name = gone.robot, gone.key
-        if name not in self._leaving:
-            return  # it has come back
-        self._leaving[name] -= 1
-        if self._leaving[name]:
-            return
-        del self._leaving[name]
-        holders = self._tokens[gone.key]
-        holders.remove(gone.robot)
-        if not holders:
-            del self._tokens[gone.key]
-        for dst in self._hearers.get(gone.robot, ()):
-            self._coming.get((gone.robot, dst), {}).pop(gone.key, None)
-            self._hide((gone.robot, dst), gone.key)
 
     def _show(self, link: Link, key: str) -> None:
         self._shown[link].add(key)
@@ -459,8 +425,6 @@ class RelayProcess:
 
     def _last(self, end: int) -> None:
         self._settle()
-        for looked in [robot.look() for robot in self._robots.values()]:
-            looked.wait(_END_S)
         self._sum_up()
         fates = self._relay.close(end)
         closing = {
@@ -490,9 +454,6 @@ class RelayProcess:
                 some = ", ".join(repr(key) for key, _ in robot.stayed.most_common(3))
                 what = f"{count} messages, queries and replies whose keys no expression of carry includes ({some})"
                 self._note(f"{robot.name}: {what} stayed with it")
-            if keys := sorted(robot.uncarried):
-                some = ", ".join(map(repr, keys[:MOST_KEYS])) + (", ..." if len(keys) > MOST_KEYS else "")
-                self._note(f"{robot.name}: carry leaves out {len(keys)} of the keys that publishers declare ({some})")
         for number, key in enumerate(self._setup.carry):
             if self._robots and number not in matched and key != "**":
                 self._note(f"carry: nothing came on {key}")

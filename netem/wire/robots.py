@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from threading import Event, current_thread
+from threading import current_thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
@@ -90,12 +90,6 @@ class Token(NamedTuple):
     alive: bool
 
 
-class Checked(NamedTuple):
-    """A robot has been asked whether it has a token, too, that is gone at another one."""
-
-    gone: Token
-
-
 class Unfit(NamedTuple):
     """A message that found no room on its way to the relay."""
 
@@ -150,8 +144,6 @@ class Robot:
         self._inlet, self._put = inlet, inlet.put
         self._session = _opened(access)
         # The admin space of our router; one of others may have none.
-        self._admin = f"@/{self._session.zid()}/router/" if access.listen else ""
-        self.uncarried: set[str] = set()  # keys of publishers that no expression of `carry` includes
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
@@ -249,43 +241,6 @@ class Robot:
             return self._includes(zenoh.KeyExpr(key.partition("/@adv/")[0])) is not None
         except zenoh.ZError:
             return False
-
-    def check(self, gone: Token) -> None:
-        """Find out whether a program of this robot has a token, too, that is gone at another one: zenoh does not say so
-        while we show it. A thread of zenoh puts the token, if so, and then `Checked`.
-        """
-        ours, number, put = str(self._session.zid()), self.number, self._put
-
-        def found(reply: Any) -> None:
-            holders = json.loads(reply.ok.payload.to_bytes()) if reply.ok else {}
-            if any(zid != ours for kind in holders.values() for zid in kind):
-                put(Token(number, gone.key, True))
-
-        self._ask_router(f"token/{gone.key}", found, lambda: put(Checked(gone)))
-
-    def look(self) -> Event:
-        """Find out on which keys programs publish that no expression of `carry` includes. Our router lists publishers,
-        so that what they put need not come here. Returns what is set at the end.
-        """
-        ended = Event()
-
-        def found(reply: Any) -> None:
-            key = str(reply.ok.key_expr).removeprefix(f"{self._admin}publisher/") if reply.ok else ""
-            if key and len(self.uncarried) < TOKENS.items and self._includes(zenoh.KeyExpr(key)) is None:
-                self.uncarried.add(key)
-
-        self._ask_router("publisher/**", found, ended.set)
-        return ended
-
-    def _ask_router(self, key: str, found: Callable[[Any], None], ended: Callable[[], None]) -> None:
-        """Call `found` with each entry of our router's admin space, and `ended` behind all, on a thread of zenoh."""
-        try:
-            if self._admin:
-                self._session.get(self._admin + key, zenoh.handlers.Callback(found, ended, indirect=False))
-                return
-        except zenoh.ZError as error:
-            log.warning("%s: cannot ask its router for %s: %s", self.name, key, reason(error))
-        ended()
 
     # --- on the thread of its outlet
 
@@ -458,7 +413,7 @@ def _opened(access: RobotEndpoint) -> zenoh.Session:
         raise BusError(f"{access.name}: {access.config} is no configuration of zenoh ({reason(error)})") from None
     settings = dict(_SETTINGS)
     if access.listen:
-        settings |= {"mode": "router", "connect/endpoints": [], "adminspace/enabled": True} | listening([access.listen])
+        settings |= {"mode": "router", "connect/endpoints": []} | listening([access.listen])
         problem = f"{access.name}: cannot listen on {access.listen}"
     else:
         settings |= {"mode": "client", "listen/endpoints": []} | client_settings([access.connect], None, 5000)

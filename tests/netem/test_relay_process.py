@@ -26,7 +26,7 @@ from netem.relay_process import Port, RelayProcess, RelayReport, Setup
 from netem.wire import queues
 from netem.wire.outlet import Outlet
 from netem.wire.queues import Inlet
-from netem.wire.robots import Checked, RobotEndpoint, Token, Unfit
+from netem.wire.robots import RobotEndpoint, Token, Unfit
 
 LIMIT_S = 60.0
 NAMES = ("talker", "slow", "fast")
@@ -42,19 +42,10 @@ class Robot:
         self.number, self.name, self.outlet = access.number, access.name, Outlet()
         self.stayed: Counter[str] = Counter()
         self.matched = {0}
-        self.uncarried: set[str] = set()
         self.routers: list[str] = []
         self.placed: list[tuple[str, bytes]] = []
         self.taken: list[RobotMessage] = []
         self.shown: set[str] = set()
-        self.seen: list[tuple[str, bool]] = []  # what an observer sees of tokens
-        self.hidden: set[str] = set()  # tokens of its own of which zenoh says nothing, because we show them
-        self.put = inlet.put
-
-    def look(self) -> Event:
-        found = Event()
-        found.set()
-        return found
 
     def begin(self) -> None:
         pass
@@ -66,17 +57,10 @@ class Robot:
         return True
 
     def mirror(self, token: str) -> None:
-        self.seen += [] if token in self.shown else [(token, True)]
         self.shown.add(token)
 
     def withdraw(self, token: str) -> None:
-        self.seen.append((token, False))
         self.shown.discard(token)
-
-    def check(self, gone: Token) -> None:
-        if gone.key in self.hidden:
-            self.put(Token(self.number, gone.key, True))
-        self.put(Checked(gone))
 
     def hand(self, message: RobotMessage, payload: bytes) -> None:
         if self.name == "slow":
@@ -208,38 +192,6 @@ def test_a_token_is_shown_where_a_robot_that_has_it_reaches(events: list[tuple[i
     for dst in (1, 2, 3):
         expected = {key for key, robots in have.items() if any((src, dst) in links for src in robots)}
         assert served.robots[dst].shown == expected
-    served.end()
-
-
-@pytest.mark.parametrize("count", [0, 2, 12])
-def test_a_note_names_keys_that_nothing_carries_as_many_as_a_line_holds(count: int) -> None:
-    served = Served([(1, 2)])
-    keys = [f"k/{number:02}" for number in range(count)]
-    served.robots[2].uncarried.update(keys)
-    _, report = served.end()
-    named = ", ".join(map(repr, keys[:10])) + (", ..." if count > 10 else "")
-    note = f"slow: carry leaves out {count} of the keys that publishers declare ({named})"
-    assert report.notes == ([note] if count else [])
-
-
-@pytest.mark.parametrize("returns", [False, True])
-def test_a_token_that_two_robots_have_stays_when_one_goes(returns: bool) -> None:
-    """Zenoh has not said that the second robot has it, because we showed it there."""
-    served = Served([(1, 2), (1, 3), (2, 3), (2, 1)])
-    Robot.goes.set()
-    served.robots[2].hidden.add("a")
-    served.queue.put(Token(1, "a", True))
-    served.queue.put(Token(1, "a", False))
-    if returns:  # before anybody was asked
-        served.queue.put(Token(1, "a", True))
-    served.queue.put(put(2, b"last"))
-    wait_for(lambda: served.robots[1].taken and served.robots[3].taken, LIMIT_S, "the last")
-    assert served.robots[3].seen == [("a", True)]
-    assert ("a", True) in served.robots[1].seen
-    served.queue.put(Token(2, "a", False))
-    served.queue.put(put(2, b"last"))
-    wait_for(lambda: len(served.robots[3].taken) == 2, LIMIT_S, "the last")
-    assert ("a" in served.robots[3].shown) is returns
     served.end()
 
 

@@ -19,7 +19,7 @@ from waiting import wait_for
 from netem.errors import BusError
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.queues import Inlet
-from netem.wire.robots import Checked, Robot, RobotEndpoint, Ticket, Token, read
+from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, read
 from netem.wire.session import open_session
 
 LIMIT_S = 60.0
@@ -169,37 +169,6 @@ def test_a_token_that_two_robots_have_is_still_known_when_one_goes(net: Net) -> 
     wait_for(lambda: net.tokens().get("0/fleet/alive"), LIMIT_S, "the robot's own")
     own.undeclare()
     wait_for(lambda: net.tokens().get("0/fleet/alive") is False, LIMIT_S, "its end")
-
-
-def test_keys_of_publishers_that_nothing_carries_are_known_without_their_messages(net: Net) -> None:
-    keys = ("0/fleet/x", "0/secret", "0/cam%era/a-b/image", "0/**")
-    publishers = [net.program.declare_publisher(key) for key in keys]
-    expected = {"0/secret", "0/cam%era/a-b/image", "0/**"}
-    wait_for(lambda: net.robot.look().wait(LIMIT_S) and net.robot.uncarried >= expected, LIMIT_S, "the keys")
-    assert net.robot.uncarried == expected
-    for publisher in publishers:
-        publisher.undeclare()
-
-
-def test_a_robot_says_whether_it_has_a_token_that_is_shown_there(net: Net) -> None:
-    gone = Token(2, "0/fleet/both", False)
-
-    def found() -> list[Any]:
-        net.robot.check(gone)
-        items = [net.queue.get(timeout=LIMIT_S)]
-        while items[-1] != Checked(gone):
-            items.append(net.queue.get(timeout=LIMIT_S))
-        return [item for item in items if isinstance(item, Token) and item.key == gone.key]
-
-    net.robot.outlet.do(lambda: net.robot.mirror(gone.key))
-    net.done()
-    assert not found()
-    own = net.program.liveliness().declare_token(gone.key)
-    assert wait_for(found, LIMIT_S, "the robot's own") == [Token(1, gone.key, True)]
-    own.undeclare()
-    wait_for(lambda: not found(), LIMIT_S, "its end")
-    net.robot.outlet.do(lambda: net.robot.withdraw(gone.key))
-    net.done()
 
 
 # --- Unix sockets

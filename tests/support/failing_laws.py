@@ -67,6 +67,9 @@ NAN_IN_THE_CORE = """
         def __getattr__(self, name):
             return getattr(self._law, name)
 
+        def __setattr__(self, name, value):  # `fleet.analysis.linear` sets the state of our law
+            setattr(self._law, name, value) if name == "x" else super().__setattr__(name, value)
+
         def step(self, sample, command):
             demand, telemetry = self._law.step(sample, command)
             if (self._id, sample.tick) == (3, 57):

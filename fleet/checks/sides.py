@@ -15,7 +15,9 @@ from netem.wire.messages import TimedFault, WorldFault
 
 
 def _parts(fault: Fault, around: Surroundings) -> list[Part]:
-    """What the cores do during a fault of the log. Who has no agent is known without it; a tumble is no fault."""
+    """What the cores do during a fault of the log. Nothing for a kill, since a tick itself says who has an agent, and
+    nothing for an event such as a tumble.
+    """
     kind = KINDS.get(fault.what.partition(" ")[0])
     if kind is None or kind.name == "kill":
         return []

@@ -27,7 +27,7 @@ FOLDER = Folder(path_type=Path, file_okay=False)
 
 
 class Effect(NamedTuple):
-    """What a flag does until the command ends, besides being known to its function."""
+    """An action of a flag that lasts until the command ends. The function of the command gets the flag, too."""
 
     act: Callable[[click.Context], None]
 
@@ -137,9 +137,7 @@ def _budget(text: str) -> tuple[float, float]:
 
 
 # The most runs, and the most seconds of wall time; one of the two is inf.
-BUDGET = Parsed(
-    "runs|time", _budget, lambda found: f"{found[0]:g}"
-)  # the most runs, and the most seconds of wall time; one of them is inf
+BUDGET = Parsed("runs|time", _budget, lambda found: f"{found[0]:g}")
 
 
 def _number(text: str, otherwise: float) -> float:
@@ -159,9 +157,7 @@ def _speed(text: str) -> float | None:
 
 
 # A factor of real time; None: as fast as possible.
-SPEED = Parsed(
-    "x|max", _speed, lambda speed: "max" if speed is None else f"{speed:g}"
-)  # a factor of real time; None: max
+SPEED = Parsed("x|max", _speed, lambda speed: "max" if speed is None else f"{speed:g}")
 
 
 class _Pace(click.types.FloatParamType):

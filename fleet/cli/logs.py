@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -44,15 +45,22 @@ _OF_LOGS = ("what", "compare", "vehicles", "window")
 _OF_STUDIES = ("measures",)
 
 
-Vehicles = Annotated[tuple[int, ...] | None, VEHICLES, Option("Only these, e.g. 1,3-5.")]
-LogScale = Annotated[bool | None, Option(
-    "Errors, other signals and ages on a logarithmic axis, or all on a linear one. By default errors are logarithmic, "
-    "and a study's measures that span much.", flag="--log-scale/--linear")]  # fmt: skip
-Window = Annotated[tuple[float, float] | None, WINDOW, Option(
-    "Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the whole "
-    "run.")]  # fmt: skip
-Measures = Annotated[tuple[str, ...], Option(
-    "For a study: another measure to show; repeatable. An unknown name lists them.", "NAME", "--measure")]  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class PictureChoice:
+    """What pictures of a log, or of a study, show."""
+
+    measures: Annotated[tuple[str, ...], Option(
+        "For a study: another measure to show; repeatable. An unknown name lists them.", "NAME",
+        "--measure")] = ()  # fmt: skip
+    vehicles: Annotated[tuple[int, ...] | None, VEHICLES, Option("Only these, e.g. 1,3-5.")] = None
+    log_scale: Annotated[bool | None, Option(
+        "Errors, other signals and ages on a logarithmic axis, or all on a linear one. By default errors are "
+        "logarithmic, and a study's measures that span much.", flag="--log-scale/--linear")] = None  # fmt: skip
+    window: Annotated[tuple[float, float] | None, WINDOW, Option(
+        "Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the whole "
+        "run.")] = None  # fmt: skip
+
+
 PictureFormats = Annotated[tuple[str, ...], Words(FORMATS)]
 
 
@@ -82,10 +90,7 @@ def plot(
         "the log: control.leads, command.tau_0, '|error.e|'.")] = KINDS,
     formats: Annotated[PictureFormats, Option("Some of png, svg, pdf.", flag="--format")] = ("png",),
     compare: Annotated[tuple[Path, ...], Option("Another run on the same axes; repeatable.", "LOG2")] = (),
-    measures: Measures = (),
-    vehicles: Vehicles = None,
-    log_scale: LogScale = None,
-    window: Window = None,
+    shown: PictureChoice,
     quiet: NoProgress = False,
 ) -> None:  # fmt: skip
     """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
@@ -108,7 +113,7 @@ def plot(
     """
     if is_study(log):
         check_options(log, _OF_LOGS, "logs")
-        _print(plot_study(log, out, measures, formats, log_scale))
+        _print(plot_study(log, out, shown.measures, formats, shown.log_scale))
         return
     check_options(log, _OF_STUDIES, "studies")
     from fleet.logs.reader import log_path
@@ -118,7 +123,7 @@ def plot(
     said: list[str] = []
     with showing("reading") as tell:
         runs = load([log, *compare], tell)
-    view = View(vehicles, log_scale, window)
+    view = View(shown.vehicles, shown.log_scale, shown.window)
     check_view(runs, view)
     check_signals(what, runs)
     with showing("drawing") as tell:
@@ -282,10 +287,7 @@ def report(
     *,
     out: Annotated[Path, FILE, Option("The page.", flag="-o --out")] = Path("report.html"),
     force: Force = False,
-    measures: Measures = (),
-    vehicles: Vehicles = None,
-    log_scale: LogScale = None,
-    window: Window = None,
+    shown: PictureChoice,
     quiet: NoProgress = False,
 ) -> None:  # fmt: skip
     """Write one self-contained HTML page about one LOG, or about several and what they have in common.
@@ -312,13 +314,13 @@ def report(
         if len(chosen) > 1:
             raise click.UsageError(f"{study} is a study: a page is about one study, or about logs")
         check_options(study, _OF_LOGS, "logs")
-        report_study(study, out, measures, log_scale)
+        report_study(study, out, shown.measures, shown.log_scale)
         click.echo(out)
         return
     check_options(chosen[0], _OF_STUDIES, "studies")
     with showing("reading") as tell:
         runs = load(chosen, tell)
-    view = View(vehicles, log_scale, window)
+    view = View(shown.vehicles, shown.log_scale, shown.window)
     check_view(runs, view)
     with showing("drawing and adding up") as tell:
         write(out, runs, view, tell)

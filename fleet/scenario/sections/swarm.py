@@ -259,17 +259,18 @@ def written(drawn: Iterable[DrawnFault], ground: NemesisTargets) -> list[FaultSe
     faults: list[FaultSection] = []
     past = _Past(ground)
     for one in sorted(drawn, key=lambda fault: (fault.at, fault.number)):
-        for piece, (at, lasts) in enumerate(_times(one, ground), start=1):
+        pieces = list(_times(one, ground))
+        body, cut, silent = _body(one, pieces[0][1], ground, past)
+        for piece, (at, lasts) in enumerate(pieces, start=1):
             name = free_name(f"nemesis-{one.number}" + (f"-{piece}" if one.pieces > 1 else ""), taken)
             taken.add(name)
-            body, cut, silent = _body(one, lasts, ground, past)
             faults.append(FaultSection.model_validate({"id": name, "at": f"{at} ns", "for": f"{lasts} ns", **body}))
         past.add(one, cut, silent)
     return sorted(faults, key=lambda fault: fault.at)
 
 
 def _times(one: DrawnFault, ground: NemesisTargets) -> Iterator[tuple[int, int]]:
-    """When each piece of a fault begins, and how long it lasts [ns]: a round or more, as the pause behind it."""
+    """When each piece of a fault begins, and their common length [ns]: a round or more, as the pause behind each."""
     pieces = min(one.pieces, max(1, (one.lasts // ground.round_ns + 1) // 2))
     length = one.lasts // (2 * pieces - 1) // ground.spec.tick * ground.spec.tick
     for piece in range(pieces):

@@ -24,9 +24,9 @@ import click
 import psutil
 from click.testing import CliRunner
 
+from fleet.addons.studies.errors import StudyError
+from fleet.addons.studies.store import Store
 from fleet.cli.main import cli
-from fleet.study.errors import StudyError
-from fleet.study.store import Store
 
 MOST_BYTES, LONGEST_S = 3 << 30, 60  # of address space; of CPU time
 SHORT = ["--set", "duration=1 s", "--set", "checks={}"]

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import click
 from stack import until_open  # the script beside this one
 
+from fleet.addons.studies.borders import PsychometricCurve
+from fleet.addons.studies.statistics import pass_rate
 from fleet.processes.limits import free_port
-from fleet.study.borders import PsychometricCurve
-from fleet.study.statistics import pass_rate
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "election_stack"
 MEMBERS, LEASE_S, FROM_S, TO_S, READY_S = 5, 1.0, 5.0, 20.0, 4.0

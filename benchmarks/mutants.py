@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 _GOLDEN = "tests/golden/test_golden.py"
 # Its law hangs until an exception is raised in it from outside, which never arrives while calls are watched.
-_HANGS = "tests/fleet/study/test_one_run.py::test_a_law_that_hangs_within_a_tick_costs_its_run"
+_HANGS = "tests/addons/studies/test_one_run.py::test_a_law_that_hangs_within_a_tick_costs_its_run"
 ROOMS = {  # with their tests
     "netem": ["tests/netem"],
     "agents": ["tests/agents", _GOLDEN],
@@ -43,7 +43,7 @@ ROOMS = {  # with their tests
     "fleet/execution": ["tests/fleet/execution", "tests/fleet/repeat", "tests/system/test_deaths.py"],
     "fleet/protocols": ["tests/fleet/protocols"],
     "fleet/recorder": ["tests/fleet/recorder", "tests/fleet/repeat", "tests/system/test_same_bytes.py"],
-    "fleet/study": ["tests/fleet/study", f"--deselect={_HANGS}"],
+    "fleet/addons/studies": ["tests/addons/studies", f"--deselect={_HANGS}"],
 }
 MEMORY = 4 << 30  # bytes that a mutant's tests may take
 LEAST_S = 30.0  # of CPU time for the tests of a mutant, beside a multiple of what they take without it

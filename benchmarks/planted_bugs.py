@@ -25,13 +25,13 @@ from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fleet.addons.studies.engine import local_engine
+from fleet.addons.studies.modules import modules_of
+from fleet.addons.studies.search import search
+from fleet.addons.studies.shrink import Shrinker
 from fleet.execution.stepped_run import run
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, timeline_lines
-from fleet.study.engine import local_engine
-from fleet.study.modules import modules_of
-from fleet.study.search import search
-from fleet.study.shrink import Shrinker
 
 SHRINK_RUNS = 150
 APART = 100_000  # seeds between two searches for one defect

@@ -21,16 +21,16 @@ from msgspec import Struct
 from rich.console import Console as Terminal
 
 from benchmarks.figures import show_rows
+from fleet.addons.studies.engine import LocalEngine
+from fleet.addons.studies.one_run import Task, make_run, scenario_of
 from fleet.execution.stepped_run import judged
 from fleet.processes.workers import Workers
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.overrides import SET, Override
-from fleet.study.engine import LocalEngine
-from fleet.study.one_run import Task, make_run, scenario_of
 from netem.private_folder import PrivateFolder
 
 if TYPE_CHECKING:
-    from fleet.study.sweep import Progress
+    from fleet.addons.studies.sweep import Progress
 
 SCENARIO = "rough-sea"
 CHANGES = ("checks={}", "log={every: 10 ticks}")
@@ -216,9 +216,9 @@ def _study(
     pools: list[Workers] | None = None,
 ) -> Iterator[Make]:
     """Whole studies with their rows, by the same workers, which go to `pools`."""
-    from fleet.study.engine import local_engine
-    from fleet.study.plan import Plan
-    from fleet.study.sweep import prepare, run_study
+    from fleet.addons.studies.engine import local_engine
+    from fleet.addons.studies.plan import Plan
+    from fleet.addons.studies.sweep import prepare, run_study
 
     overrides = tuple(Override(SET, change) for change in changes)
     with PrivateFolder("bench") as place, local_engine(workers) as engine:

@@ -10,18 +10,18 @@ from warnings import warn
 from fleet.cores import hidden_cores
 
 if TYPE_CHECKING:
+    from fleet.addons.learning.parallel_env import parallel_env as parallel_env
+    from fleet.addons.pictures.gallery import plot as plot
+    from fleet.addons.studies.study import Boundary as Boundary
+    from fleet.addons.studies.study import Study as Study
+    from fleet.addons.studies.study import boundary as boundary
+    from fleet.addons.studies.study import open_study as open_study
+    from fleet.addons.studies.study import sweep as sweep
     from fleet.execution.stepped_run import Run as Run
     from fleet.execution.stepped_run import run as run
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
-    from fleet.pictures.gallery import plot as plot
     from fleet.result.result import Result as Result
-    from fleet.rl.parallel_env import parallel_env as parallel_env
-    from fleet.study.study import Boundary as Boundary
-    from fleet.study.study import Study as Study
-    from fleet.study.study import boundary as boundary
-    from fleet.study.study import open_study as open_study
-    from fleet.study.study import sweep as sweep
 
 _OFFERED = {
     "Result": "fleet.result.result",
@@ -29,13 +29,13 @@ _OFFERED = {
     "Run": "fleet.execution.stepped_run",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
-    "Boundary": "fleet.study.study",
-    "boundary": "fleet.study.study",
-    "Study": "fleet.study.study",
-    "open_study": "fleet.study.study",
-    "parallel_env": "fleet.rl.parallel_env",
-    "plot": "fleet.pictures.gallery",
-    "sweep": "fleet.study.study",
+    "Boundary": "fleet.addons.studies.study",
+    "boundary": "fleet.addons.studies.study",
+    "Study": "fleet.addons.studies.study",
+    "open_study": "fleet.addons.studies.study",
+    "parallel_env": "fleet.addons.learning.parallel_env",
+    "plot": "fleet.addons.pictures.gallery",
+    "sweep": "fleet.addons.studies.study",
 }
 __all__ = [
     "Boundary",

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 class Kind(Enum):
     """The kinds of texts. The value of a kind stands for the text in `--help`.
 
-    `fleet.study.option_values` checks those of a study. The types of `fleet.cli.types` read those of a field that is
+    `fleet.addons.studies.option_values` checks those of a study. The types of `fleet.cli.types` read those of a field that is
     a number: a TIME in s, or in whole ns; a SPEED, a SHARE or a PACE.
     """
 

@@ -23,8 +23,8 @@ import numpy as np
 from scipy.optimize import bisect
 from scipy.stats import norm
 
-from fleet.study.borders import RISING, PsychometricCurve, Walk, steepest_rise
-from fleet.study.statistics import pass_rate
+from fleet.addons.studies.borders import RISING, PsychometricCurve, Walk, steepest_rise
+from fleet.addons.studies.statistics import pass_rate
 
 COUNTS = (12, 20, 40, 60, 100)
 GRID_COUNTS = (*COUNTS, 200, 400)
@@ -282,7 +282,7 @@ def intervals(truths: Callable[[int], Truth], borders: int, runs: int) -> tuple[
 
 def of_sweep(directory: str) -> Callable[[int], Truth]:
     """Runs drawn from the rows of a sweep over one key."""
-    from fleet.study.study import open_study
+    from fleet.addons.studies.study import open_study
 
     frame = open_study(directory).to_pandas()
     (key,) = open_study(directory).axes

@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fleet.addons.studies.one_run import recorded
+from fleet.addons.studies.statistics import median
 from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.study.one_run import recorded
-from fleet.study.statistics import median
 from world.navigation.config import DeadReckoning
 from world.navigation.instruments import Instruments
 

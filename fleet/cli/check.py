@@ -64,7 +64,7 @@ def check(
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*changes], refused=refused)
     if loaded.nodes:
-        from fleet.stack import lines as of_nodes
+        from fleet.analysis import robot_addresses as of_nodes
 
         found, told, lines = analyse(loaded), list(of_nodes.warnings(loaded)), of_nodes.summary(loaded)
     else:

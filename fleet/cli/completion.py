@@ -54,8 +54,8 @@ def scenarios(context: click.Context, parameter: click.Parameter, typed: str) ->
 
 def studies(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
     """Complete shipped studies and scenarios; without one, files."""
+    from fleet.addons.studies.catalogue import shipped_studies
     from fleet.scenario.catalogue import shipped_scenarios
-    from fleet.study.catalogue import shipped_studies
 
     return _names_or_files([*shipped_studies(), *shipped_scenarios()], typed)
 

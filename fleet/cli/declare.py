@@ -221,8 +221,8 @@ class _Checked(click.ParamType[str]):
         self.name, self._field = field.name, field
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from fleet.study.errors import StudyError
-        from fleet.study.option_values import read
+        from fleet.addons.studies.errors import StudyError
+        from fleet.addons.studies.option_values import read
 
         try:
             return str(read(self._field, value))
@@ -233,7 +233,7 @@ class _Checked(click.ParamType[str]):
 def _built(field: OptionField, value: Any) -> Any:
     """A value as the field holds it. Raises StudyError: a text has no key, or a key is there twice."""
     if field.shape is dict:
-        from fleet.study.option_values import set_values, varied
+        from fleet.addons.studies.option_values import set_values, varied
 
         return set_values(value) if field.kind is Kind.VALUE else varied(value, str(field.flag))
     return list(value) if field.shape is list else value

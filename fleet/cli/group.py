@@ -125,7 +125,7 @@ def _meant(error: click.ClickException) -> str:
 
 def command_of(name: str) -> click.Command:
     """The command of a name that is in `VERBS`."""
-    offered: Sequence[click.Command] = import_module(f"fleet.cli.{VERBS[name].module}").COMMANDS
+    offered: Sequence[click.Command] = import_module(VERBS[name].module).COMMANDS
     return next(command for command in offered if command.name == name)
 
 

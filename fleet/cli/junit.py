@@ -16,10 +16,10 @@ from fleet.errors import FleetError
 from fleet.option import Option
 
 if TYPE_CHECKING:
+    from fleet.addons.studies.failures import FoundFailure, RegressionResult
+    from fleet.addons.studies.search import SearchResult
+    from fleet.addons.studies.store import Store
     from fleet.result.result import Result
-    from fleet.study.failures import FoundFailure, RegressionResult
-    from fleet.study.search import SearchResult
-    from fleet.study.store import Store
 
 Junit = Annotated[Path | None, FILE, Option("Also write the result as a JUnit file, for CI services.")]
 
@@ -56,7 +56,7 @@ def of_run(result: Result) -> list[JUnitCase]:
 
 def of_study(store: Store) -> list[JUnitCase]:
     """A case for each point; it has failed if one of the point's runs failed."""
-    from fleet.study.summary import reached, summarise
+    from fleet.addons.studies.summary import reached, summarise
 
     cases = []
     for row in summarise(store):

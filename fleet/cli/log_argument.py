@@ -13,7 +13,7 @@ from fleet.cli.types import Fallback
 from fleet.option import Option
 
 if TYPE_CHECKING:
-    from fleet.view.source import LiveSource, LogSource
+    from fleet.addons.page.source import LiveSource, LogSource
 
 
 def newest_log() -> Path:
@@ -50,7 +50,7 @@ def find_shown(what: str | None, rate: float | None, *, control: bool, loop: boo
     Raises click.UsageError: a log cannot be disturbed, and a live run has its own pace; FleetError: there is none, or
     the run is not published.
     """
-    from fleet.view.source import LiveSource, LogSource, find_source
+    from fleet.addons.page.source import LiveSource, LogSource, find_source
 
     source = find_source(what, RUNS)
     if isinstance(source, LogSource) and control:

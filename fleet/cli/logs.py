@@ -34,8 +34,8 @@ from fleet.terminal.status_line import showing, showing_steps
 from fleet.terminal.table import say
 
 if TYPE_CHECKING:
-    from fleet.analysis.link_fit import LinkFit
-    from fleet.study.store import Store
+    from fleet.addons.robots.link_fit import LinkFit
+    from fleet.addons.studies.store import Store
 
 KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
@@ -116,9 +116,9 @@ def plot(
         _print(plot_study(log, out, shown.measures, formats, shown.log_scale))
         return
     check_options(log, _OF_STUDIES, "studies")
+    from fleet.addons.pictures.gallery import check_signals, write
+    from fleet.addons.pictures.runs import View, check_view, load
     from fleet.logs.reader import log_path
-    from fleet.pictures.gallery import check_signals, write
-    from fleet.pictures.runs import View, check_view, load
 
     said: list[str] = []
     with showing("reading") as tell:
@@ -246,8 +246,8 @@ def _print_scenario(log: Path) -> None:
 
 
 def _export_bag(log: Path, folder: Path) -> None:
+    from fleet.addons.robots.ros2.bag import write_bag
     from fleet.logs.reader import log_path
-    from fleet.ros2.bag import write_bag
 
     with showing(f"writing {folder}") as tell:
         paths, missing = write_bag(log_path(log), folder, tell)
@@ -258,9 +258,9 @@ def _export_bag(log: Path, folder: Path) -> None:
 
 
 def _export_traces(log: Path, folder: Path, selected: tuple[Any, ...], *, force: bool) -> None:
+    from fleet.addons.robots.field_traces import Selection, write_field_traces
     from fleet.logs.export import write_traces
     from fleet.logs.open_log import open_log
-    from fleet.stack.field_traces import Selection, write_field_traces
 
     def tell_user(text: str) -> None:
         say(f"fleet: {text}", err=True)
@@ -304,9 +304,9 @@ def report(
       fleet report runs/a runs/b -o compared.html --log-scale
       fleet report studies/rough-sea-20261122-101500 -o study.html
     """
-    from fleet.pictures.page import check_place
-    from fleet.pictures.report import write
-    from fleet.pictures.runs import View, check_view, load
+    from fleet.addons.pictures.page import check_place
+    from fleet.addons.pictures.report import write
+    from fleet.addons.pictures.runs import View, check_view, load
 
     check_place(out, force=force)
     chosen = logs or (newest_log(),)
@@ -375,9 +375,9 @@ def movie(
       fleet movie runs/latest -o heal.gif --view 3d
       fleet movie runs/latest -o cut.mp4 --from 5s --to 40s --speed 2 --fps 25
     """
+    from fleet.addons.page.movie import write
+    from fleet.addons.pictures.page import check_place
     from fleet.logs.reader import log_path
-    from fleet.pictures.page import check_place
-    from fleet.view.movie import write
 
     check_place(out, force=force)
     window = begin / 1e9, None if end is None else end / 1e9
@@ -412,7 +412,7 @@ def fit(
       fleet fit modem-log.csv --states 3 --picture bursts.png
       fleet fit links/1-2.csv > links.yaml
     """
-    from fleet.analysis.link_fit import fit as fitted
+    from fleet.addons.robots.link_fit import fit as fitted
     from fleet.scenario.sections.link_conditions import read_trace
     from fleet.scenario.text.yaml_reader import yaml_text
 
@@ -437,7 +437,7 @@ def fit(
 
 def fit_lines(found: LinkFit, trace: Path) -> list[str]:
     """The parameters of a fit in words, and how likely the trace is under it."""
-    from fleet.analysis.link_fit import runs
+    from fleet.addons.robots.link_fit import runs
 
     model, alone = found.model, found.independent
     every, share = found.interval_ns / 1e9, found.lost.mean()
@@ -470,8 +470,8 @@ def fit_lines(found: LinkFit, trace: Path) -> list[str]:
 
 
 def _draw(found: LinkFit, trace: Path, picture: Path) -> None:
-    from fleet.analysis.link_fit import runs
-    from fleet.pictures.bursts import draw_bursts
+    from fleet.addons.pictures.bursts import draw_bursts
+    from fleet.addons.robots.link_fit import runs
 
     measured = {"burst of losses": runs(found.lost), "gap between bursts": runs(1.0 - found.lost)}
     longest = int(max(lengths.max() for lengths in measured.values())) + 1
@@ -508,7 +508,7 @@ def plot_study(
     place cannot be written.
     """
     store = _open(directory)
-    from fleet.study.pictures.gallery import write
+    from fleet.addons.studies.pictures.gallery import write
 
     said: list[str] = []
     with showing("drawing") as tell:
@@ -525,7 +525,7 @@ def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale:
     place cannot be written.
     """
     store = _open(directory)
-    from fleet.study.pictures.report import write
+    from fleet.addons.studies.pictures.report import write
 
     with showing("drawing and adding up") as tell:
         write(out, store, measures, log_scale, tell)
@@ -537,7 +537,7 @@ def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Pa
     Raises StudyError: it is damaged, or an extra is not installed; FleetError: something is in the way, or the place
     cannot be written.
     """
-    from fleet.study.engine import need
+    from fleet.addons.studies.engine import need
 
     if form == "parquet":
         need(["pyarrow"], "Parquet needs", "parquet")
@@ -558,10 +558,10 @@ def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Pa
 
 
 def _open(directory: Path) -> Store:
-    from fleet.study.engine import need_extra
+    from fleet.addons.studies.engine import need_extra
 
     need_extra()
-    from fleet.study.store import Store
+    from fleet.addons.studies.store import Store
 
     return Store.open(directory)
 

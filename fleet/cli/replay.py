@@ -162,10 +162,10 @@ def _ros2(
     connect: str | None, listen: str | None, topics: tuple[str, ...], path: Path, line: StatusLine
 ) -> tuple[Any, Any, tuple[str, ...], Callable[[], Any]]:
     """A session among nodes of ROS 2, a function that subscribes, the keys, and a function that opens the bag."""
-    from fleet.ros2.node import open_ros_session
-    from fleet.ros2.record import BagWriter, WithHistory
-    from fleet.ros2.rmw import domain_of
-    from fleet.ros2.types import types_of
+    from fleet.addons.robots.ros2.node import open_ros_session
+    from fleet.addons.robots.ros2.record import BagWriter, WithHistory
+    from fleet.addons.robots.ros2.rmw import domain_of
+    from fleet.addons.robots.ros2.types import types_of
     from netem.wire.session import quiet_zenoh
 
     if connect and listen:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import click
 
+from fleet.addons.hosts.verbs.hosts import HostsOptions, rendezvous
 from fleet.cli import junit as cli_junit
-from fleet.cli import ros2 as cli_ros2
-from fleet.cli import view as cli_view
+from fleet.addons.robots.verbs import ros2 as cli_ros2
+from fleet.addons.page.verbs import view as cli_view
 from fleet.cli.changes import Changes, key_options
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.group import EPILOG
-from fleet.cli.hosts import HostsOptions, rendezvous
 from fleet.cli.junit import Junit
 from fleet.cli.types import Trust, Whole, is_given
 from fleet.execution.options import OnlyDirectory, Options, RunsFolder
@@ -257,10 +257,10 @@ def netem(
       fleet inject partition 'auv1 / auv2,shore' --for 30s
       fleet netem stack.yaml --view
     """
+    from fleet.addons.robots.stack.run import RelayRun
+    from fleet.analysis.robot_addresses import warnings
     from fleet.processes.children import start_forkserver
     from fleet.scenario.loading import load_scenario
-    from fleet.stack.lines import warnings
-    from fleet.stack.run import RelayRun
 
     if not show_config:
         start_forkserver()

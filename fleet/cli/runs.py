@@ -153,8 +153,8 @@ def list_() -> None:
     fleet ls lists the runs made of them. The cost of a study is the approximate time of all
     its runs on one processor core, with compiled code.
     """
+    from fleet.addons.studies.catalogue import list_studies
     from fleet.scenario.catalogue import list_scenarios
-    from fleet.study.catalogue import list_studies
 
     scenarios, studies = list_scenarios(), list_studies()
     if json_is_asked():

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from fleet.addons.studies.verbs.study_options import WorkerOptions
 from fleet.cli.changes import Overrides, key_options
 from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document, print_result
 from fleet.cli.log_argument import Log, newest_log
-from fleet.cli.study_options import WorkerOptions
 from fleet.cli.types import FILE, NoProgress, Trust, Whole
 from fleet.option import Option
 from fleet.terminal.status_line import StatusLine, showing, showing_time
 from fleet.terminal.table import Piece, say
 
 if TYPE_CHECKING:
-    from fleet.repeat.what_if import WhatIf
+    from fleet.addons.studies.explanation.what_if import WhatIf
 
 _VERIFY = "Exit status: 0 reproduced, 1 not, 2 no log of ours or it cannot be run here, 3 no message is left in it."
 _DIFF = "Exit status: 0 the same (or within the tolerance), 1 different, 2 one of them is no log."
@@ -121,9 +121,9 @@ def recover(
       fleet recover cut.mcap -o clean.mcap
       fleet recover bag                   a bag whose recorder was killed
     """
+    from fleet.addons.robots.ros2.bag import bag_file, repair
     from fleet.logs.recover import recover as write
     from fleet.logs.recover import recovery_text
-    from fleet.ros2.bag import bag_file, repair
 
     with showing(f"recovering {log}") as tell:
         found = write(log, out, tell) if bag_file(log) is None else repair(log, out, tell)
@@ -131,7 +131,7 @@ def recover(
     sys.exit(1 if found.nothing else 3 if found.lost else 0)
 
 
-@command(document="fleet.repeat.what_if.OtherCommands")
+@command(document="fleet.addons.studies.explanation.what_if.OtherCommands")
 def whatif(
     log: Log,
     *,
@@ -154,14 +154,14 @@ def whatif(
       fleet whatif --agent 1 --set 'tracking.k_u=2 1/s' --set profile=hardened
       fleet whatif --agent 2 --controller my_module:MyController
     """
-    from fleet.repeat.what_if import what_if
+    from fleet.addons.studies.explanation.what_if import what_if
 
     changes = [*overrides, *key_options(controller=controller)]
     with showing(f"agent {agent}") as tell:
         found = what_if(log, agent, changes, tell)
     if plot is not None:
+        from fleet.addons.studies.explanation.what_if import draw
         from fleet.logs.reader import digest, log_path
-        from fleet.repeat.what_if import draw
 
         draw(found, plot, digest(log_path(log)))
     for note in () if json_is_asked() else found.notes:
@@ -188,7 +188,7 @@ def what_if_lines(found: WhatIf) -> list[str]:
     return lines
 
 
-@command(document="fleet.explanation.why.Why")
+@command(document="fleet.addons.studies.explanation.why.Why")
 def why(
     log: Log,
     *,
@@ -210,11 +210,11 @@ def why(
       fleet why runs/latest --budget 0
       fleet why runs/latest --json
     """
-    from fleet.explanation.why import Explanation, Question, lines
+    from fleet.addons.studies.explanation.why import Explanation, Question, lines
 
     if picture is not None:
-        from fleet.explanation.picture import draw
-        from fleet.pictures.style import format_of
+        from fleet.addons.pictures.style import format_of
+        from fleet.addons.studies.explanation.picture import draw
 
         format_of(picture)
     with how.showing(_pieces) as tell:
@@ -230,7 +230,7 @@ def why(
 
 
 def _pieces(line: StatusLine, doing: str, runs: int) -> list[Piece]:
-    from fleet.explanation.no_return import RUNS
+    from fleet.addons.studies.explanation.no_return import RUNS
 
     return [Piece(0, [doing]), Piece(1, [f"{runs} runs" if doing == RUNS else ""])]
 

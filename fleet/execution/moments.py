@@ -11,7 +11,7 @@ from fleet.execution.in_process import InProcess, in_process
 from fleet.quantities import show_time
 from fleet.recorder.journal import JournalSink
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.scene import LinkHistories
+from fleet.recorder.scene.messages import LinkHistories
 from fleet.recorder.start import Leg, Start
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.sections.timeline import Event

@@ -11,8 +11,8 @@ from fleet.option import Kind, Limits, Option
 from netem.vehicle_clock import Clock
 
 if TYPE_CHECKING:
+    from fleet.addons.hosts.rendezvous import Rendezvous
     from fleet.execution.runner import MakeRelay
-    from fleet.hosts.rendezvous import Rendezvous
     from fleet.recorder.start import Start
 
 RunsFolder = Annotated[Path, Option("The folder for run directories.", "DIR", "-o --out")]

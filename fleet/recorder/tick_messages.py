@@ -34,9 +34,9 @@ from fleet.logs.schemas import (
     signal_columns,
 )
 from fleet.recorder.metrics import VehicleError
+from fleet.recorder.scene.primitives import NED
 from fleet.recorder.transforms import quaternion
 from fleet.scenario.sections.signals import locates
-from fleet.scene.primitives import NED
 from netem.wire.messages import Command, Frame
 from world.signal import Signal, width_of
 

@@ -22,8 +22,8 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
 from fleet.logs.schemas import varint
+from fleet.recorder.scene.primitives import NED, REFERENCE
 from fleet.scenario.scenario import Scenario
-from fleet.scene.primitives import NED, REFERENCE
 from netem.wire.messages import Frame
 from world.vectors import Vec3
 

@@ -50,7 +50,7 @@ from fleet.logs.schemas import (
 from fleet.logs.topic_names import link_topic
 from fleet.recorder.log_file import SECOND_NS
 from fleet.recorder.metrics import VehicleError
-from fleet.recorder.scene import SCENE_UNITS, LinkHistories, Scene
+from fleet.recorder.scene.messages import SCENE_UNITS, LinkHistories, Scene
 from fleet.recorder.start import Start
 from fleet.recorder.tick_messages import TickMessages, VehicleTopic
 from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms

@@ -12,7 +12,7 @@ from repository import ROOT
 import agents.api
 from agents.plugins.laws import METHODS
 
-USERS = sorted([*(ROOT / "fleet/templates").glob("*.py"), *(ROOT / "docs/examples").glob("*.py")])
+USERS = sorted([*(ROOT / "fleet/addons/templates").glob("*.py"), *(ROOT / "docs/examples").glob("*.py")])
 OURS = ("agents", "netem", "world", "fleet")
 
 

@@ -16,8 +16,8 @@ from agents.config import Offset
 from agents.laws.kinematics import earth_velocity
 from agents.sample import Sample, VelocityCommand
 from agents.trajectory import Motion
+from fleet.addons.templates import agent, controller, tracking
 from fleet.result.result import Result
-from fleet.templates import agent, controller, tracking
 
 sys.path.insert(0, str(ROOT / "docs" / "examples"))
 from leader_follower import LeaderFollower

@@ -35,7 +35,7 @@ from agents.errors import AgentError, ControllerError
 from agents.make_agent import make_agent
 from agents.plugins import laws
 from agents.signals import COMMANDED, HEARD
-from fleet.cli.new import Kinds
+from fleet.addons.templates.verb import Kinds
 from fleet.errors import RunBroken, ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options

@@ -25,9 +25,9 @@ from agents.config import Law
 from agents.join import _admit
 from agents.join_file import JoinError
 from agents.plugins import laws
+from fleet.addons.studies.failures import FailureFolder, FoundFailure
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import load_scenario
-from fleet.study.failures import FailureFolder, FoundFailure
 from world.errors import PluginError
 from world.plugins import loading, trust
 from world.plugins.trust import Permission, Trust
@@ -149,7 +149,7 @@ READING = (
 def test_reading_runs_nothing(where: str, victim: tuple[str, Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """All that a reader shows stands in the log, the signals of laws that it never sees, too."""
     log, mark, name = victim
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"formation": ()})  # `plot` draws more of the same
+    monkeypatch.setattr("fleet.addons.pictures.report.WHAT", {"formation": ()})  # `plot` draws more of the same
     if where == "installed":
         monkeypatch.syspath_prepend(str(mark.parent / "site"))
         write_laws(mark.parent / "site", name)
@@ -163,7 +163,7 @@ def test_reading_runs_nothing(where: str, victim: tuple[str, Path, str], monkeyp
 
 
 def test_open_log_and_pictures_run_nothing(victim: tuple[str, Path, str]) -> None:
-    from fleet.pictures.runs import load
+    from fleet.addons.pictures.runs import load
 
     log, mark, name = victim
     found = fleet.open_log(log)

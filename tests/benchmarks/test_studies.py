@@ -37,7 +37,7 @@ def no_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     def engine(_: int) -> Iterator[Here]:
         yield _Measured()
 
-    monkeypatch.setattr("fleet.study.engine.local_engine", engine)
+    monkeypatch.setattr("fleet.addons.studies.engine.local_engine", engine)
 
 
 @pytest.mark.slow

@@ -8,13 +8,13 @@ import pytest
 from made_up_study import CONTROLLER, DELAY, LOSS, Row, made_up, usual
 
 import fleet
+from fleet.addons.studies.errors import StudyError
+from fleet.addons.studies.study import Study
 from fleet.errors import FleetError
 from fleet.notebook import MOST_ROWS, html_table
 from fleet.result.file import read_result
 from fleet.result.result import Result, Status
 from fleet.result.verdict import Verdict
-from fleet.study.errors import StudyError
-from fleet.study.study import Study
 
 
 def test_dir_lists_what_is_offered() -> None:

@@ -23,10 +23,11 @@ from repository import ROOT
 
 from agents.errors import AgentError
 from agents.join_file import JoinFile
+from fleet.addons.hosts.certificates import _read as read_pem
+from fleet.addons.hosts.rendezvous import new_credentials, read_credentials
+from fleet.addons.studies.store import Store
 from fleet.errors import FleetError
 from fleet.execution.connection import find
-from fleet.hosts.certificates import _read as read_pem
-from fleet.hosts.rendezvous import new_credentials, read_credentials
 from fleet.logs.reader import LogReader
 from fleet.replay.observed import read_observed
 from fleet.result.file import read_result
@@ -34,7 +35,6 @@ from fleet.scenario.loading import load_scenario
 from fleet.scenario.sections.link_conditions import read_trace
 from fleet.scenario.sections.modem_files import load_modem
 from fleet.scenario.sections.per_vehicle import load_vehicle
-from fleet.study.store import Store
 from netem.errors import NetemError
 from netem.wire.messages import PROTOCOL_VERSION
 

@@ -176,11 +176,11 @@ def test_no_result_stops_a_report(
     seeds: range, directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of every variant: the page is made, with the verdicts or with what is wrong where; and tables from the log."""
-    from fleet.pictures.report import page
-    from fleet.pictures.runs import View, load
+    from fleet.addons.pictures.report import page
+    from fleet.addons.pictures.runs import View, load
 
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {})
-    monkeypatch.setattr("fleet.pictures.report.PER_RUN", set())
+    monkeypatch.setattr("fleet.addons.pictures.report.WHAT", {})
+    monkeypatch.setattr("fleet.addons.pictures.report.PER_RUN", set())
     copytree(directory, tmp_path / "run")
     (run,) = load([tmp_path / "run"])
     path = tmp_path / "run" / "result.json"

@@ -156,7 +156,7 @@ def test_one_version_everywhere() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
     citation = (ROOT / "CITATION.cff").read_text("utf-8")
     changes = re.findall(r"^## ([\d.]+) \(([^)]+)\)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
-    package = (ROOT / "fleet" / "ros2" / "uuv_fleet_msgs" / "package.xml").read_text("utf-8")
+    package = (ROOT / "fleet/addons/robots/ros2/uuv_fleet_msgs" / "package.xml").read_text("utf-8")
     assert changes[0][0] == version
     assert f"\nversion: {version}\ndate-released: {changes[0][1]}\n" in citation
     assert f"<version>{version}</version>" in package

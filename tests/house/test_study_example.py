@@ -26,7 +26,7 @@ def test_the_notebook_page_shows_what_its_code_prints_and_draws(
     def here(*_: Any, **__: Any) -> Iterator[Here]:
         yield Here()
 
-    monkeypatch.setattr("fleet.study.study.engine_of", here)
+    monkeypatch.setattr("fleet.addons.studies.study.engine_of", here)
     monkeypatch.chdir(tmp_path)
     assert run_page(PAGE) >= 7
     for picture, drawn in (("study-passed.png", "passed"), ("study-pairs.png", "compare-controller-formation_final_m")):

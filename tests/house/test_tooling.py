@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-from fleet.protocol.page import FIELDS, page
+from fleet.addons.hosts.protocol.page import FIELDS, page
 from netem.fault_kinds import WorldFaultKind
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from fleet.protocol.page import declared, fields_of, records, texts
+from fleet.addons.hosts.protocol.page import declared, fields_of, records, texts
 from netem.wire.messages import Message
 
 RECORDS = records()

@@ -8,5 +8,5 @@ import pytest
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files of pictures have 30 dots per inch in place of 300, since most of the time goes into dots."""
-    monkeypatch.setattr("fleet.pictures.style.DPI", 30)
-    monkeypatch.setattr("fleet.pictures.page.DPI", 30)
+    monkeypatch.setattr("fleet.addons.pictures.style.DPI", 30)
+    monkeypatch.setattr("fleet.addons.pictures.page.DPI", 30)

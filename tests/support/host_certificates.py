@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fleet.hosts import certificates
+from fleet.addons.hosts import certificates
 
 
 @pytest.fixture(scope="module")

@@ -21,19 +21,27 @@ NOT_FAST = (
 )
 # An extra with the packages that its tests need, and their files. `[test]` installs none of them, `[test-all]` all.
 EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "cluster": (("dask", "distributed"), ("tests/fleet/study/test_dask_engine.py",)),
-    "fmu": (("fmpy",), ("tests/world/plants/test_fmu.py", "tests/system/test_fmu_runs.py")),
-    "foxglove": (("foxglove", "websockets"), ("tests/fleet/view/test_foxglove",)),
-    "rl": (("pettingzoo", "gymnasium"), ("tests/fleet/rl",)),
+    "cluster": (("dask", "distributed"), ("tests/addons/studies/test_dask_engine.py",)),
+    "fmu": (("fmpy",), ("tests/addons/fmu/test_fmu.py", "tests/system/test_fmu_runs.py")),
+    "foxglove": (("foxglove", "websockets"), ("tests/addons/page/test_foxglove",)),
+    "rl": (("pettingzoo", "gymnasium"), ("tests/addons/learning",)),
     "ros2": (
         ("rosbags", "xxhash", "mcap_ros2", "pyzeros", "zenoh_ros2_sdk"),
-        ("tests/fleet/ros2", "tests/fleet/stack/test_messages.py", "tests/fleet/stack/test_ros2.py"),
+        (
+            "tests/addons/robots/ros2",
+            "tests/addons/robots/stack/test_messages.py",
+            "tests/addons/robots/stack/test_ros2.py",
+        ),
     ),
     "view": (
         ("nicegui",),
         (
-            *("tests/fleet/view/test_page_", "tests/fleet/view/test_server.py", "tests/fleet/view/test_words.py"),
-            "tests/fleet/cli/test_view.py",
+            *(
+                "tests/addons/page/test_page_",
+                "tests/addons/page/test_server.py",
+                "tests/addons/page/test_words.py",
+            ),
+            "tests/addons/page/verbs/test_view.py",
         ),
     ),
 }
@@ -45,7 +53,7 @@ ONCE = (
     "tests/system/test_compiled.py",
 )
 # The benchmarks and the paper's claims: a change of the product seldom concerns them.
-NIGHTLY = ("tests/benchmarks", "tests/fleet/reproduce")
+NIGHTLY = ("tests/benchmarks", "tests/addons/paper")
 
 
 def extra_of(path: str) -> str:

@@ -10,12 +10,12 @@ from typing import Any
 
 from small_scenario import SMALL
 
+from fleet.addons.studies import row as rows_of
+from fleet.addons.studies.plan import Plan
+from fleet.addons.studies.store import Store
+from fleet.addons.studies.sweep import prepare
+from fleet.addons.studies.values import parse_axis
 from fleet.scenario.text.overrides import SET, Override
-from fleet.study import row as rows_of
-from fleet.study.plan import Plan
-from fleet.study.store import Store
-from fleet.study.sweep import prepare
-from fleet.study.values import parse_axis
 
 Row = Mapping[str, Any]
 LINKS = Override(SET, "network.links={'*': delay 50ms loss 10%}")

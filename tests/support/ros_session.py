@@ -10,8 +10,8 @@ from typing import Any
 import zenoh
 from free_ports import free_port
 
-from fleet.ros2.node import RosNode
-from fleet.ros2.types import types_of
+from fleet.addons.robots.ros2.node import RosNode
+from fleet.addons.robots.ros2.types import types_of
 from netem.wire.ros_bus import RosBus
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from small_scenario import SMALL
 
-from fleet.study.modules import Modules
-from fleet.study.one_run import Task, make_run
-from fleet.study.row import Row
+from fleet.addons.studies.modules import Modules
+from fleet.addons.studies.one_run import Task, make_run
+from fleet.addons.studies.row import Row
 
 Rows = list[Row]
 
@@ -72,7 +72,7 @@ def made_here(
         return nullcontext(used[-1])
 
     for module in ("engine", "study"):
-        monkeypatch.setattr(f"fleet.study.{module}.engine_of", engine_of)
+        monkeypatch.setattr(f"fleet.addons.studies.{module}.engine_of", engine_of)
     monkeypatch.chdir(folder)
     Path("small.yaml").write_text(text, "utf-8")
     return used

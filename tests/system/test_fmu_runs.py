@@ -15,16 +15,16 @@ from repository import ROOT
 from small_scenario import SMALL
 from tool import invoke
 
-from fleet.explanation.no_return import healed
+from fleet.addons.studies.engine import local_engine
+from fleet.addons.studies.explanation.no_return import healed
+from fleet.addons.studies.modules import folder_of, modules_of, packed
+from fleet.addons.studies.one_run import Task, make_run
+from fleet.addons.studies.row import Row
+from fleet.addons.studies.shrink import tree_of
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import digest
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
-from fleet.study.engine import local_engine
-from fleet.study.modules import folder_of, modules_of, packed
-from fleet.study.one_run import Task, make_run
-from fleet.study.row import Row
-from fleet.study.shrink import tree_of
 
 PLANTS = """\
 vehicle: {plant: {name: "fmu:two.fmu", parameters: {signals: {effort: effort}}}}

@@ -25,10 +25,10 @@ from tool import invoke
 from waiting import wait_for
 
 from agents.join_file import JoinFile
+from fleet.addons.hosts import certificates, router_config
+from fleet.addons.hosts.rendezvous import read_credentials, run_id, through_router
 from fleet.errors import FleetError
 from fleet.execution.connection import ask, find
-from fleet.hosts import certificates, router_config
-from fleet.hosts.rendezvous import read_credentials, run_id, through_router
 from netem.errors import BusError
 from netem.wire.bus import Bus, never_linger
 from netem.wire.codec import decode

@@ -20,7 +20,7 @@ from in_process_runs import recorded
 from live import LiveRun
 from waiting import wait_for
 
-from fleet.hosts import certificates
+from fleet.addons.hosts import certificates
 from fleet.repeat.verify import verify
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")

@@ -10,12 +10,12 @@ import pytest
 from repository import ROOT
 from tool import invoke
 
+from fleet.addons.studies.explanation.what_if import what_if
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.open_log import open_log
 from fleet.repeat.resume import continuation
 from fleet.repeat.verify import verify
-from fleet.repeat.what_if import what_if
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario

@@ -13,12 +13,12 @@ from hand import Hand
 from in_process_runs import recorded
 from live import LiveRun
 
+from fleet.addons.pictures.gallery import punctuality
+from fleet.addons.pictures.runs import NothingToDraw, View, load
+from fleet.addons.studies.explanation.what_if import what_if
 from fleet.errors import FleetError
 from fleet.execution.connection import RemoteError
-from fleet.pictures.gallery import punctuality
-from fleet.pictures.runs import NothingToDraw, View, load
 from fleet.repeat.verify import verify
-from fleet.repeat.what_if import what_if
 from fleet.result.file import read_result
 from fleet.result.result import Status
 from netem.vehicle_clock import Clock

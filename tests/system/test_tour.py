@@ -14,7 +14,7 @@ from repository import ROOT
 TOUR = (ROOT / "README.md").read_text("utf-8").partition("## A tour in ten commands")[2].partition("\n## ")[0]
 STEPS = dict(re.findall(r"^(\d+)\. (.*?)(?=^\d+\. |^$)", TOUR, re.MULTILINE | re.DOTALL))
 ALONE = range(1, 9)  # step 9 needs a second terminal, and step 10 takes minutes; both have tests of their own
-LONG = ("fleet movie",)  # drawn in tests/fleet/view
+LONG = ("fleet movie",)  # drawn in tests/addons/page
 
 
 def commands(step: int) -> list[str]:

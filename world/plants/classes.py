@@ -74,7 +74,7 @@ def signals_of(name: str, parameters: Mapping[str, Any]) -> tuple[Signal, ...]:
 
 
 def _unit_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
-    from world.plants.fmu import fmu_class  # and with it what starts processes
+    from fleet.addons.fmu.fmu import fmu_class  # and with it what starts processes
 
     try:
         return fmu_class(permitted_file(KIND, name), parameters)

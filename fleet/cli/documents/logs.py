@@ -8,6 +8,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from fleet.addons.studies.catalogue import ListedStudy
 from fleet.analysis.border import LinearFleet
 from fleet.analysis.link_shares import effective_loss, written
 from fleet.analysis.preflight import may_draw
@@ -20,7 +21,6 @@ from fleet.logs.deviation import Difference, LogComparison
 from fleet.logs.fault_intervals import FaultTime
 from fleet.scenario.catalogue import ListedScenario
 from fleet.scenario.scenario import Scenario, timeline
-from fleet.study.catalogue import ListedStudy
 from netem.condition import Link
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace

@@ -10,6 +10,9 @@ from fed_checks import fed
 from small_scenario import SMALL, small
 from study_engine import Here
 
+from fleet.addons.studies.modules import modules_of
+from fleet.addons.studies.shrink import Shrinker
+from fleet.addons.studies.sweep import check_names
 from fleet.analysis.verdicts import standing
 from fleet.checks.own_checks import OwnChecks
 from fleet.execution.clock import GrantPolicy
@@ -23,9 +26,6 @@ from fleet.recorder.writer import LogWriter
 from fleet.repeat.verify import verify
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.trust import Policy
-from fleet.study.modules import modules_of
-from fleet.study.shrink import Shrinker
-from fleet.study.sweep import check_names
 
 PUSH = (
     "faults=[{id: mute, at: 200 ms, for: 300 ms, mute: 3},"

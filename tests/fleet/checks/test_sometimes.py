@@ -8,10 +8,10 @@ import pytest
 from fed_checks import Depth, fed
 from small_scenario import small
 
+from fleet.addons.studies.one_run import Task, make_run
+from fleet.addons.studies.row import Reached, Row, sometimes_names
+from fleet.addons.studies.search import SearchResult
 from fleet.execution.stepped_run import judged
-from fleet.study.one_run import Task, make_run
-from fleet.study.row import Reached, Row, sometimes_names
-from fleet.study.search import SearchResult
 
 PYTHON = "checks={signal: {name: deep, topic: state.z, above: %s, sometimes: true}, "
 

@@ -26,6 +26,7 @@ from tool import commands, invoke
 
 import fleet
 from fleet.__main__ import _command_line
+from fleet.addons.studies.catalogue import shipped_studies
 from fleet.cli.group import report
 from fleet.errors import FleetError
 from fleet.logs.reader import digest
@@ -33,7 +34,6 @@ from fleet.recorder.log_file import LogError
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.groups import GROUPS
-from fleet.study.catalogue import shipped_studies
 
 SHIPPED = [row.name for row in list_scenarios()]
 

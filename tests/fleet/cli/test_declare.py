@@ -14,16 +14,16 @@ from click.testing import CliRunner
 from msgspec import Struct
 from repository import ROOT
 
+from fleet.addons.hosts.verbs.hosts import HostsOptions
+from fleet.addons.studies.spec import BoundarySpec, StudySpec
+from fleet.addons.studies.verbs.study_options import MakingStudy, WorkerOptions
 from fleet.cli.changes import Changes
 from fleet.cli.declare import DeclaredCommand, ShownOption, command
-from fleet.cli.hosts import HostsOptions
 from fleet.cli.main import cli
-from fleet.cli.study_options import MakingStudy, WorkerOptions
 from fleet.cli.types import TIME, Effect, Fallback, Words
 from fleet.execution.options import Options
 from fleet.option import NEEDED, Kind, Limits, Option, fields
 from fleet.replay.player import PlaybackOptions
-from fleet.study.spec import BoundarySpec, StudySpec
 from netem.vehicle_clock import Clock
 
 

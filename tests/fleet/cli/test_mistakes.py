@@ -45,7 +45,7 @@ def test_a_mistake_is_told_with_its_remedy_and_changes_nothing(
     if section == "page":
         for package in ("nicegui", "foxglove"):
             pytest.importorskip(package, reason="an extra is not installed: '.[test-all]'")
-    monkeypatch.setattr("fleet.study.engine.engine_of", lambda *_, **__: nullcontext(Here()))
+    monkeypatch.setattr("fleet.addons.studies.engine.engine_of", lambda *_, **__: nullcontext(Here()))
     monkeypatch.chdir(tmp_path)
     there = FILES | {"run.mcap": log_of(alone("paper", "duration=2 s", "checks={}")).read_bytes()}
     for name, data in there.items():

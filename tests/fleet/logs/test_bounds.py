@@ -215,8 +215,8 @@ def test_extremes_are_those_of_each_bucket(rows: list[tuple[int, float]]) -> Non
 
 def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every extreme is there, packets are counted, and what is drawn takes little."""
-    from fleet.pictures.gallery import draw
-    from fleet.pictures.runs import View, load
+    from fleet.addons.pictures.gallery import draw
+    from fleet.addons.pictures.runs import View, load
 
     (whole,) = load([run])
     monkeypatch.setattr(open_log, "BUCKETS", 20)
@@ -235,8 +235,8 @@ def test_pictures_of_a_log_that_cannot_be_held(run: Path, monkeypatch: pytest.Mo
 
 
 def test_links_that_cannot_be_held_are_no_picture(run: Path) -> None:
-    from fleet.pictures.gallery import draw
-    from fleet.pictures.runs import View, load
+    from fleet.addons.pictures.gallery import draw
+    from fleet.addons.pictures.runs import View, load
 
     (thin,) = load([run], most_held=2000)
     found = {name: figure for name, _, figure in draw(["links", "ages"], [thin], View())}

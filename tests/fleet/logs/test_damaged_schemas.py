@@ -181,7 +181,7 @@ def test_readers_say_that_a_time_after_the_end_was_left_out(
     command: list[str], run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Axes and players had a range of 31 years."""
-    monkeypatch.setattr("fleet.pictures.report.WHAT", {"formation": ()})  # the others take long
+    monkeypatch.setattr("fleet.addons.pictures.report.WHAT", {"formation": ()})  # the others take long
     log = changed(tmp_path / "a.mcap", run, stamped(1000, 10**18, 10**18))
     done = invoke(command[0], log, *command[1:], *([tmp_path / "o"] * (len(command) > 1)))
     assert "long after the end of the run (2 s)" in " ".join(done.output.split()), done.output

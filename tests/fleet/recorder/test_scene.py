@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fleet.recorder.scene.model import diameter
+from fleet.recorder.scene.styles import CUTS, FOXGLOVE, HISTORY
 from hypothesis import given
 from hypothesis import strategies as st
 from in_process_runs import Alone, log_of
@@ -23,12 +25,10 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
-from fleet.recorder.scene import LinkHistories, Scene, hull
+from fleet.recorder.scene.messages import LinkHistories, Scene, hull
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario
-from fleet.scene.model import diameter
-from fleet.scene.styles import CUTS, FOXGLOVE, HISTORY
 from netem.fault_kinds import LOSSES, Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 

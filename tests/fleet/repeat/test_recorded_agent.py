@@ -1,7 +1,7 @@
 """A log with an external agent is verified with what that agent said; nothing goes on from where it stood.
 
 The logs are of our own agents, marked external and run in this process, so that there is no doubt about what an agent
-would have said; `tests/fleet/protocol/test_conformance.py` verifies one of a stranger.
+would have said; `tests/addons/hosts/protocol/test_conformance.py` verifies one of a stranger.
 """
 
 from __future__ import annotations

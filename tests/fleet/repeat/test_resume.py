@@ -20,6 +20,10 @@ from refusals import check_commands
 from small_scenario import small
 from tool import invoke
 
+from fleet.addons.page.log_feed import LogFeed
+from fleet.addons.pictures.axes import over_time
+from fleet.addons.pictures.exchange import peak_ages
+from fleet.addons.pictures.runs import View, load
 from fleet.errors import FleetError
 from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
@@ -27,9 +31,6 @@ from fleet.execution.triggered import resolve_triggers
 from fleet.logs.open_log import open_log
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import OLD_START
-from fleet.pictures.axes import over_time
-from fleet.pictures.exchange import peak_ages
-from fleet.pictures.runs import View, load
 from fleet.recorder.start import Start
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import continuation, parse_from
@@ -39,7 +40,6 @@ from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import moment_grid
 from fleet.scenario.text.overrides import FAULT, NET, Override
-from fleet.view.log_feed import LogFeed
 
 CHANGING = (
     "network.links={'*': {states: {good: {mean: 300 ms}, bad: {condition: loss 50% rate 2kbit, mean: 200 ms}}}, "

@@ -9,11 +9,11 @@ from math import sqrt
 import pytest
 from samples import samples
 
+from fleet.addons.studies.bare_run import bare_verdicts
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import episodes
-from fleet.study.bare_run import bare_verdicts
 from netem import draws
 
 MOORED = """

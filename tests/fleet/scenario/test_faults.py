@@ -267,7 +267,7 @@ from fleet.cli.completion import injection
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.fault_words import read_fault
-from fleet.study.targets import targets
+from fleet.addons.studies.targets import targets
 print(read_fault(squall.SquallFault.example))
 context = click.Context(click.Command("inject"))
 context.params = {"what": ("squall",)}

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import pytest
 from marks import slow
 
+from fleet.addons.studies.bare_run import _BareRun
 from fleet.checks.triggers import Triggers
 from fleet.checks.values import LoggedValues
 from fleet.errors import ScenarioError
@@ -15,7 +16,6 @@ from fleet.execution.triggered import resolve_triggers
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
-from fleet.study.bare_run import _BareRun
 
 ELECTION = """
 title: triggers

@@ -14,7 +14,7 @@ from host_certificates import made as made
 from waiting import wait_for
 
 import netem.wire.certificate_router as certificate_router
-from fleet.hosts import certificates
+from fleet.addons.hosts import certificates
 from fleet.processes.children import RunFolder
 from netem.errors import BusError
 from netem.limits import WIRE_MESSAGE

@@ -16,7 +16,7 @@ from any_message import ANY_MESSAGE, ARRAY, KINDS, OR_NIL, RECORDS, messages
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fleet.protocol.page import declared, fields_of, records, texts
+from fleet.addons.hosts.protocol.page import declared, fields_of, records, texts
 from netem.errors import MalformedMessage
 from netem.wire.codec import decode, encode, expect
 from netem.wire.mailbox import read_map

@@ -18,6 +18,8 @@ from repository import ROOT
 from small_scenario import SMALL
 from tool import commands, invoke
 
+from fleet.addons.studies.catalogue import shipped_studies
+from fleet.addons.studies.explanation.what_if import OtherCommands
 from fleet.cli.documents.failure import FailedCommand
 from fleet.cli.documents.logs import Checked, Compared, Scenarios
 from fleet.cli.documents.output import print_document
@@ -26,10 +28,8 @@ from fleet.execution.supervisor import Supervisor
 from fleet.logs.info import Info
 from fleet.logs.reader import digest
 from fleet.repeat.verify import Verification
-from fleet.repeat.what_if import OtherCommands
 from fleet.result.result import Result
 from fleet.scenario.catalogue import shipped_scenarios
-from fleet.study.catalogue import shipped_studies
 
 S = TypeVar("S", bound=msgspec.Struct)
 QUICK = ["paper", "--in-process", "--duration", "300 ms"]

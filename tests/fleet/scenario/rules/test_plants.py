@@ -9,8 +9,8 @@ import pytest
 from one_child import in_one_child
 from small_scenario import SMALL, read_back, small
 
+from fleet.addons.studies.modules import modules_of
 from fleet.scenario.scenario import Scenario
-from fleet.study.modules import modules_of
 from world.config import PlantSetup
 
 ROLLING = "vehicle.plant=own_plants:Rolling"

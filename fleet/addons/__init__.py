@@ -1,0 +1,1 @@
+"""Parts that the core does not need, each of which registers what it offers."""

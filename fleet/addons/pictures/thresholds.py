@@ -1,0 +1,82 @@
+"""The limits that a scenario's checks set for an error, drawn over the time at which they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from matplotlib.axes import Axes
+
+from fleet.addons.pictures.runs import Run
+from fleet.addons.pictures.shades import union
+from fleet.addons.pictures.style import LABEL_PT, NORMAL
+from fleet.scenario.schema.checks import EVERY, Below, Recovery
+
+
+class Threshold(NamedTuple):
+    """A signal is compared with a value, an error in m, in a time [s]."""
+
+    value: float
+    begin: float
+    end: float
+    words: str  # when, or of whom
+    asked: str  # such as `below 0.5 m`
+
+
+def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
+    """Those of the checks of all runs, each once. `error`: `formation` or `consensus`."""
+    found: list[Threshold] = []
+    for run in runs:
+        if run.scenario is None:
+            continue
+        checks = run.scenario.spec.checks
+        below: Below | None = getattr(checks, f"{error}_error")
+        if below is not None:
+            after = below.after / 1e9
+            words = f"from {after:g} s{_of(below.vehicles)}"
+            found.append(Threshold(below.below, after, run.log.end, words, _below(below.below)))
+        for check in checks.recovery_time or ():
+            if check.error == error:
+                found += _recoveries(check, run)
+    return list(dict.fromkeys(one for one in found if one.begin < one.end))
+
+
+def _recoveries(check: Recovery, run: Run) -> list[Threshold]:
+    faults = run.log.faults
+    allowed = check.below / 1e9
+    found = []
+    for fault in faults:
+        if check.fault in (EVERY, fault.id) and fault.end < run.log.end:
+            later = (other.begin for other in faults if other.id != fault.id and other.begin >= fault.end)
+            words = f"{allowed:g} s after {fault.id}{_of(check.vehicles)}"
+            end = min(later, default=run.log.end)
+            found.append(Threshold(check.within, fault.end + allowed, end, words, _below(check.within)))
+    return found
+
+
+def _below(value: float) -> str:
+    return f"below {value:g} m"
+
+
+def _of(vehicles: str | None) -> str:
+    return "" if vehicles is None else f", UUV {vehicles}"
+
+
+def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> None:
+    """A heavy dashed line where each holds, and its words at the line's end; those of one value together."""
+    first, last = ax.get_xlim()
+    shown = [one for one in asked if one.begin < last and one.end > first]
+    for k, value in enumerate(sorted({one.value for one in shown})):
+        same = [one for one in shown if one.value == value]
+        for begin, end in union([(max(one.begin, first), min(one.end, last)) for one in same]):
+            ax.plot([begin, end], [value, value], color="black", linewidth=NORMAL,
+                    linestyle=(0, (3, 1.5)), zorder=4, gid="check")  # fmt: skip
+        va, off = ("top", -2) if k == 0 and len(shown) > len(same) else ("bottom", 2)
+        words = list(dict.fromkeys(one.words for one in same))
+        some = "; ".join(words[:2]) + (f"; and {len(words) - 2} more" if len(words) > 2 else "")
+        text = " ".join(filter(None, ("check:", same[0].asked, some)))
+        ax.annotate(
+            text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(-2, off),
+            textcoords="offset points", ha="right", va=va, fontsize=LABEL_PT, zorder=5, gid="check-name",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
+        )  # fmt: skip

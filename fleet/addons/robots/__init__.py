@@ -1,0 +1,1 @@
+"""The network between robots whose programs are yours, and what ROS 2 sees of a run."""

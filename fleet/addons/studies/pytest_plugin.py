@@ -1,0 +1,117 @@
+"""A pytest plugin: the fixture `fleet_runs` runs a scenario with many seeds, in this process.
+
+pytest loads it with every test run of an environment that has uuv-fleet, so it imports nothing but pytest until the
+fixture is used. `docs/guide/regress.md` is its guide.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from fleet.result.result import Result
+
+FleetRuns = Callable[..., "list[Result]"]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options of the fixture."""
+    group = parser.getgroup("uuv-fleet")
+    group.addoption("--fleet-seeds", type=int, default=None, metavar="N",
+                    help="how many seeds each fleet_runs tries, in place of what the test says")  # fmt: skip
+    group.addoption("--fleet-keep", default="fleet-failures", metavar="DIR",
+                    help="where logs of runs that failed go (default: fleet-failures)")  # fmt: skip
+
+
+@pytest.fixture
+def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
+    """A function that runs a scenario with many seeds and fails the test at the first seed that fails a check."""
+    folder = Path(request.config.getoption("--fleet-keep"))
+    most = request.config.getoption("--fleet-seeds")
+    test = re.sub(r"[^A-Za-z0-9_.-]+", "-", request.node.name)[:100]
+
+    def run(
+        scenario: str | Path,
+        seeds: int | Iterable[int] = 10,
+        *,
+        set: Mapping[str, Any] | Iterable[str] = (),
+        trust: bool = False,
+    ) -> list[Result]:
+        """Run a scenario with each seed in turn.
+
+        Args:
+            scenario: a shipped name, or a file. If the file is in the folder of the test, its name is enough.
+            seeds: how many, from 1 on, or a list of them.
+            set: changes to the scenario, as for `fleet.run`.
+            trust: run modules, too, that are neither installed nor in the current directory.
+
+        Returns:
+            The results; all of them passed.
+
+        Raises:
+            ScenarioError: with every mistake of the scenario.
+        """
+        beside = request.path.parent / scenario
+        name = str(scenario if Path(scenario).exists() or not beside.is_file() else beside)
+        chosen = range(1, 1 + (most or seeds)) if isinstance(seeds, int) else list(seeds)[:most]
+        return _run(name, list(chosen), set, trust, folder / test)
+
+    return run
+
+
+def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path) -> list[Result]:
+    from fleet.addons.studies.row import Reached
+    from fleet.execution.stepped_run import override_texts
+    from fleet.execution.stepped_run import run as run_once
+
+    texts = override_texts(changes)
+    found: list[Result] = []
+    reached: dict[str, Reached] = {}
+    for seed in seeds:
+        result = run_once(name, set=texts, seed=seed, trust=trust)
+        if not result.passed:
+            log = _kept(name, [*texts, f"seed={seed}"], trust, directory.with_name(f"{directory.name}-seed-{seed}"))
+            pytest.fail(_words(name, texts, result, len(seeds), log), pytrace=False)
+        found.append(result)
+        for verdict in result.checks:
+            if verdict.reached is not None:
+                one = reached.setdefault(verdict.check, Reached(verdict.check))
+                one.note(seed, reached=verdict.reached)
+    if missed := [one.words for one in reached.values() if not one.hits]:
+        pytest.fail(f"{name}: no run fails, and that says little: {'; '.join(missed)}", pytrace=False)
+    return found
+
+
+def _kept(name: str, changes: list[str], trust: bool, directory: Path) -> str:
+    """Make a run once more, with its directory; returns where that is, or why there is none."""
+    from fleet.addons.studies.one_run import recorded
+    from fleet.scenario.loading import load_scenario
+    from world.plugins.trust import trusting
+
+    try:
+        with trusting(trust):
+            recorded(load_scenario(name, changes), directory)
+    except OSError as error:
+        return f"its log is not kept: {error}"
+    return f"its log: {directory} (fleet view {directory})"
+
+
+def _words(name: str, changes: list[str], result: Result, of: int, log: str) -> str:
+    from shlex import quote
+
+    failed = [one for one in result.checks if not one.passed]
+    more = "".join(f" --set {quote(text)}" for text in changes)
+    names = ", ".join(one.check for one in failed) or str(result.status)
+    lines = [
+        f"{name} fails {names} with seed {result.seed}, of {of} seeds",
+        *([result.reason] if result.reason else []),
+    ]
+    lines += [f"  {one.check}: {one.asked}; found {one.words}" for one in failed]
+    return "\n".join(
+        [*lines, f"fleet run {quote(name)} --seed {result.seed}{more}  # sha256 {result.digest[:16]}", log]
+    )

@@ -1,0 +1,71 @@
+"""The lines and warnings at the start: addresses that programs can use, and who else reaches them."""
+
+from __future__ import annotations
+
+import json
+import os
+import pwd
+import socket
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fleet.analysis.robot_addresses import lines, warnings
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.nodes import without_address
+
+
+def scenario(**nodes: Any) -> Scenario:
+    return parse_scenario(json.dumps({"title": "A stack", "nodes": nodes}), "stack.yaml")
+
+
+def accounts(monkeypatch: pytest.MonkeyPatch, *users: tuple[str, int, str]) -> None:
+    own = SimpleNamespace(pw_name="me", pw_uid=os.getuid(), pw_shell="/bin/sh")
+    found = [own, *(SimpleNamespace(pw_name=name, pw_uid=uid, pw_shell=shell) for name, uid, shell in users)]
+    monkeypatch.setattr(pwd, "getpwall", lambda: found)
+
+
+def test_an_address_of_every_interface_is_printed_as_one_to_connect_to() -> None:
+    found = scenario(a={"listen": "tcp/0.0.0.0:7501"}, b={"listen": "tcp/[::]:7502"}, c={"listen": "tcp/10.0.0.0:1"})
+    said = "\n".join(lines(found))
+    assert said.count(f"tcp/{socket.gethostname()}:750") == 2
+    assert "tcp/10.0.0.0:1" in said
+
+
+def test_a_port_for_other_machines_is_warned_of_and_a_unix_socket_is_none(tmp_path: Path) -> None:
+    found = scenario(
+        a={"listen": f"unixsock-stream/{tmp_path}/a"},
+        b={"listen": "tcp/0.0.0.0:1"},
+        c={"listen": "tls/10.0.0.1:2", "zenoh": "x.json5"},
+    )
+    (said,) = warnings(found)
+    assert said.startswith("b listens on tcp/0.0.0.0:1 for other machines, and the port has no password")
+
+
+def test_ports_on_loopback_are_warned_of_if_other_people_use_the_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = scenario(
+        a={"listen": "tcp/127.0.0.1:1"},
+        b={"listen": "tcp/localhost:2", "zenoh": "users.json5"},
+        c={"listen": f"unixsock-stream/{tmp_path}/a"},
+        d={"udp": {"9000": "a:9100"}},
+    )
+    accounts(monkeypatch, ("daemon", 1, "/bin/sh"), ("www", 1500, "/usr/sbin/nologin"))
+    assert not [*warnings(found)]
+    accounts(monkeypatch, ("bob", 1501, "/bin/bash"))
+    (said,) = warnings(found)
+    assert said.startswith("other users of this machine (bob) can hear the programs of a, d and speak for them: ")
+
+
+def test_a_node_that_says_no_address_gets_one() -> None:
+    """Not one that datagrams alone reach, or that sends them."""
+    found = scenario(a={}, b={"udp": {"9000": "c:9100"}}, c={}, d={})
+    free = without_address(found.spec.nodes or {})
+    assert free == ["a", "d"]
+    assert [line.split()[0] for line in lines(found) if "gets a free port of this host" in line] == free
+    told = [*lines(found, {name: f"tcp/127.0.0.1:{k}" for k, name in enumerate(free, start=7000)})]
+    assert 'connect/endpoints=["tcp/127.0.0.1:7001"]' in told[-1] and not any("free port" in line for line in told)

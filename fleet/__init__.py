@@ -9,7 +9,7 @@ from warnings import warn
 
 from fleet.cores import hidden_cores
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # for type checkers alone: at run time the add-ons themselves say what they offer here
     from fleet.addons.learning.parallel_env import parallel_env as parallel_env
     from fleet.addons.pictures.gallery import plot as plot
     from fleet.addons.studies.study import Boundary as Boundary
@@ -29,32 +29,7 @@ _OFFERED = {
     "Run": "fleet.execution.stepped_run",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
-    "Boundary": "fleet.addons.studies.study",
-    "boundary": "fleet.addons.studies.study",
-    "Study": "fleet.addons.studies.study",
-    "open_study": "fleet.addons.studies.study",
-    "parallel_env": "fleet.addons.learning.parallel_env",
-    "plot": "fleet.addons.pictures.gallery",
-    "sweep": "fleet.addons.studies.study",
 }
-__all__ = [
-    "Boundary",
-    "Log",
-    "Result",
-    "Run",
-    "Study",
-    "boundary",
-    "open_log",
-    "open_study",
-    "parallel_env",
-    "plot",
-    "run",
-    "sweep",
-]
-
-
-def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
 @cache
@@ -63,9 +38,24 @@ def _warn_of_hidden_cores() -> None:
         warn(words, RuntimeWarning, stacklevel=3)
 
 
+@cache
+def _every_name() -> dict[str, str]:
+    from fleet.addon import installed  # not above: every command imports this package, and few need add-ons
+
+    of_addons = (addon.names for addon in installed().addons.values())
+    return {**{name: module for names in of_addons for name, module in names.items()}, **_OFFERED}
+
+
+def __dir__() -> list[str]:
+    return sorted({*_every_name(), *(name for name in globals() if name.startswith("__"))})
+
+
 def __getattr__(name: str) -> Any:
     # Every command imports this package; numpy and protobuf come with the first use.
-    if name in _OFFERED:
-        _warn_of_hidden_cores()
-        return getattr(import_module(_OFFERED[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name == "__all__":
+        return sorted(_every_name())
+    module = _OFFERED.get(name) or ("" if name.startswith("_") else _every_name().get(name))
+    if not module:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    _warn_of_hidden_cores()
+    return getattr(import_module(module), name)

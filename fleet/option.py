@@ -18,8 +18,8 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 class Kind(Enum):
     """The kinds of texts. The value of a kind stands for the text in `--help`.
 
-    `fleet.addons.studies.option_values` checks those of a study. The types of `fleet.cli.types` read those of a field that is
-    a number: a TIME in s, or in whole ns; a SPEED, a SHARE or a PACE.
+    The types of `fleet.cli.types` read those of a field that is a number: a TIME in s, or in whole ns; a SPEED, a SHARE
+    or a PACE. A command brings its own reader for the others (`fleet.cli.declare.command`).
     """
 
     TEXT = None
@@ -72,6 +72,7 @@ class OptionField(NamedTuple):
     words: tuple[str, ...]  # of a Literal
     about: tuple[Any, ...]  # all else that stands beside the type
     item: Any  # the annotation of one of several values
+    reader: str = ""  # the module that reads texts of the kinds that no type of the command line reads
 
     @property
     def flag(self) -> str | None:
@@ -107,7 +108,7 @@ def fields(kind: type) -> dict[str, OptionField]:
         names = _Names(vars(sys.modules[owner.__module__]))
         hints = get_type_hints(owner, {}, names, include_extras=True)
         for name in get_annotations(owner):
-            field = declared(name, hints[name], default_of(kind, name))
+            field = declared(name, hints[name], default_of(kind, name))._replace(reader=getattr(kind, "READER", ""))
             if any(isinstance(each, Option) for each in field.about):
                 found[name] = field
     return found

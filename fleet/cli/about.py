@@ -141,6 +141,3 @@ def _checks(result: Result) -> Iterator[tuple[str, str]]:
         yield "failed", f"{verdict.check}: {verdict.asked}; found {verdict.found}"
     if len(failed) > _MOST_CHECKS:
         yield "failed", f"and {len(failed) - _MOST_CHECKS} more"
-
-
-COMMANDS = (about,)

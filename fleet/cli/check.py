@@ -128,6 +128,3 @@ def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Prob
         say(line)
     if loaded.spec.expect == "fail":
         say("this run should fail a check (expect: fail); if it does, fleet run exits with 0")
-
-
-COMMANDS = (check,)

@@ -30,12 +30,12 @@ def _words(find: Callable[[click.Context], Iterable[str]]) -> Words:
             words = list(find(context))
         except Exception:
             return []
-        return [CompletionItem(_for_the_shell(word)) for word in words if word.startswith(typed)]
+        return [CompletionItem(for_the_shell(word)) for word in words if word.startswith(typed)]
 
     return complete
 
 
-def _for_the_shell(word: str) -> str:
+def for_the_shell(word: str) -> str:
     """A word as the shell must get it."""
     # zsh and fish quote a word themselves. bash does not, and needs no quotes after an opened quote.
     current = os.environ.get("COMP_WORDS", "").rsplit(None, 1)[-1:]
@@ -49,18 +49,10 @@ def scenarios(context: click.Context, parameter: click.Parameter, typed: str) ->
     """Complete shipped scenarios; without one, files."""
     from fleet.scenario.catalogue import shipped_scenarios
 
-    return _names_or_files(shipped_scenarios(), typed)
+    return names_or_files(shipped_scenarios(), typed)
 
 
-def studies(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
-    """Complete shipped studies and scenarios; without one, files."""
-    from fleet.addons.studies.catalogue import shipped_studies
-    from fleet.scenario.catalogue import shipped_scenarios
-
-    return _names_or_files([*shipped_studies(), *shipped_scenarios()], typed)
-
-
-def _names_or_files(names: Iterable[str], typed: str) -> list[CompletionItem]:
+def names_or_files(names: Iterable[str], typed: str) -> list[CompletionItem]:
     """Not both: bash takes one kind at a time."""
     found = [CompletionItem(name) for name in names if name.startswith(typed)]
     return found or [CompletionItem(typed, type="file")]
@@ -101,22 +93,6 @@ def clock(context: click.Context) -> Iterable[str]:
     """The next words in `fleet clock`."""
     given = context.params.get("words") or ()
     return () if given and given[-1] in CLOCK_WORDS else CLOCK_WORDS
-
-
-def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
-    """Complete the last word of a list of pictures, also with the signals of the log."""
-    before, comma, last = typed.rpartition(",")
-    words = [*getattr(parameter.type, "words", ())]
-    try:
-        from fleet.execution.directory import newest_run
-        from fleet.logs.topic_names import signal_names
-
-        # Where the option has no value yet, click has not told the arguments apart.
-        log = context.params.get("log") or next(iter(context.args), None)
-        words += signal_names(Path(log) if log else newest_run(RUNS) or RUNS)
-    except Exception:
-        words = words[:]  # no log, or none that can be read: the words alone
-    return [CompletionItem(_for_the_shell(before + comma + word)) for word in words if word.startswith(last)]
 
 
 @_words
@@ -178,6 +154,3 @@ def completion(shell: Literal["bash", "zsh", "fish"]) -> None:
     cls = get_completion_class(shell)
     assert cls is not None  # click has all three
     click.echo(cls(click.get_current_context().find_root().command, {}, "fleet", "_FLEET_COMPLETE").source())
-
-
-COMMANDS = (completion,)

@@ -8,6 +8,12 @@ a type of click that reads the text, a function that completes words, an `Effect
     def info(log: Log, *, since: Annotated[int, TIME, Option("Begin there.")] = 0, quiet: NoProgress = False) -> None:
 
 An option without a default has to be given. With a document the command has `--json`.
+
+A parameter with `FromAddOns` takes what add-ons bring to a command (`Extension`), and its options stand there:
+
+    companions: Annotated[tuple[Companion, ...], FromAddOns("companions")]
+
+A class of fields may name a module, `READER`, that reads their texts: `read(field, value)` and `by_key(field, texts)`.
 """
 
 from __future__ import annotations
@@ -18,13 +24,15 @@ from functools import wraps
 from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import click
 
+from fleet.addon import parts
 from fleet.cli.documents.output import JSON
 from fleet.cli.types import PACE, PATH, SECONDS, SHARE, SPEED, TIME, Effect, Fallback, Whole, is_given
-from fleet.option import NEEDED, Kind, OptionField, declared, fields, holds_fields
+from fleet.errors import FleetError
+from fleet.option import NEEDED, Kind, OptionField, declared, fields, holds_fields, unwrapped
 
 if TYPE_CHECKING:
     import msgspec
@@ -42,6 +50,33 @@ _READERS: dict[tuple[Kind, Any], click.ParamType[Any]] = {
     (Kind.SHARE, float): SHARE,
     (Kind.PACE, float): PACE,
 }
+
+
+class Extension:
+    """What an add-on brings to a command: options of its own, and what they ask for.
+
+    Attributes:
+        options_type: a dataclass, whose fields with an `Option` become options of the command.
+        commands: the names of the commands that have these options.
+        options: what the user gave, an instance of `options_type`.
+    """
+
+    options_type: ClassVar[type]
+    commands: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, options: Any) -> None:
+        self.options = options
+
+    @property
+    def asked(self) -> bool:
+        """Whether the user gave one of the options."""
+        return any(is_given(name) for name in fields(type(self.options)))
+
+
+class FromAddOns(NamedTuple):
+    """Beside a parameter of a command: it takes the extensions of a kind, which is a field of `fleet.addon.AddOn`."""
+
+    kind: str
 
 
 class DeclaredCommand(click.Command):
@@ -84,11 +119,19 @@ def command(
     """
 
     def declare(function: Callable[..., None]) -> DeclaredCommand:
-        taken, shown = [], []
-        for each in signature(function, eval_str=True).parameters.values():
-            one = _taken(each)
-            taken.append(one)
+        taken: list[_Taken | _Extended] = []
+        shown: list[click.Parameter] = []
+        parameters = signature(function, eval_str=True).parameters.values()
+        own = {each: None if _from_add_ons(each) else _taken(each) for each in parameters}
+        names = {field.name for one in own.values() if one is not None for field in one.fields}
+        for each, one in own.items():
             is_option = each.kind is Parameter.KEYWORD_ONLY
+            if one is None:
+                extended = _extended(each, name or function.__name__, names)
+                taken.append(extended)
+                shown += map(_option, extended.fields)
+                continue
+            taken.append(one)
             shown += [_option(field) if is_option else _argument(field) for field in one.fields if field.flag]
 
         @wraps(function)
@@ -109,6 +152,42 @@ def command(
         return made
 
     return declare
+
+
+class _Extended(NamedTuple):
+    """A parameter of a function that takes extensions."""
+
+    name: str
+    kinds: tuple[type[Extension], ...]
+
+    @property
+    def fields(self) -> list[OptionField]:
+        """The options of all of them."""
+        return [field for kind in self.kinds for field in fields(kind.options_type).values()]
+
+    def value(self, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The parameter: each extension with its options, from all that was given."""
+        made = []
+        for kind in self.kinds:
+            found = {name: given[name] for name in fields(kind.options_type) if name in given}
+            made.append(kind(kind.options_type(**found)))
+        return {self.name: tuple(made)}
+
+
+def _from_add_ons(parameter: Parameter) -> FromAddOns | None:
+    return next((each for each in unwrapped(parameter.annotation)[1] if isinstance(each, FromAddOns)), None)
+
+
+def _extended(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
+    """The extensions of a command. One with an option that is there already is left out, and hurts no other."""
+    asked, found = _from_add_ons(parameter), []
+    assert asked is not None
+    for kind in parts(asked.kind):
+        names = fields(kind.options_type).keys()
+        if command in kind.commands and not names & taken:
+            taken |= names
+            found.append(kind)
+    return _Extended(parameter.name, tuple(found))
 
 
 def _taken(parameter: Parameter) -> _Taken:
@@ -215,27 +294,22 @@ class _Member(click.Choice[str]):
 
 
 class _Checked(click.ParamType[str]):
-    """A text of a study, checked as in a file."""
+    """A text that the reader of its field checks."""
 
     def __init__(self, field: OptionField) -> None:
         self.name, self._field = field.name, field
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from fleet.addons.studies.errors import StudyError
-        from fleet.addons.studies.option_values import read
-
         try:
-            return str(read(self._field, value))
-        except StudyError as error:
+            return str(import_module(self._field.reader).read(self._field, value))
+        except FleetError as error:
             self.fail(str(error), param, ctx)
 
 
 def _built(field: OptionField, value: Any) -> Any:
-    """A value as the field holds it. Raises StudyError: a text has no key, or a key is there twice."""
+    """A value as the field holds it. Raises FleetError: the reader of its field does not take a text."""
     if field.shape is dict:
-        from fleet.addons.studies.option_values import set_values, varied
-
-        return set_values(value) if field.kind is Kind.VALUE else varied(value, str(field.flag))
+        return import_module(field.reader).by_key(field, value)
     return list(value) if field.shape is list else value
 
 

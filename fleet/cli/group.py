@@ -8,16 +8,16 @@ from __future__ import annotations
 import errno
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from os import PathLike
 from typing import Any
 
 import click
 
+from fleet.addon import installed, load
 from fleet.cli.documents.output import json_is_asked, print_document
-from fleet.cli.verbs import ELSEWHERE, FORMER, GROUPS, OTHER_OPTIONS, VERBS
+from fleet.cli.verbs import every_verb, headings, hint_for, other_option, verb_of
 from fleet.errors import FleetError, harmless
 from fleet.terminal.table import say
 from netem.errors import NetemError
@@ -59,11 +59,12 @@ class FleetGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names of all commands, in the order of the help."""
-        return list(VERBS)
+        return list(every_verb())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name; None: there is none."""
-        return command_of(cmd_name) if cmd_name in VERBS else super().get_command(ctx, cmd_name)
+        verb = verb_of(cmd_name)
+        return super().get_command(ctx, cmd_name) if verb is None else _checked(cmd_name, load(verb.command))
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """The command that was typed; for one of another tool the error names ours. Raises UsageError."""
@@ -75,17 +76,15 @@ class FleetGroup(click.Group):
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
             from netem.parsing import nearest, quoted  # here, for commands start without it
 
-            if now := FORMER.get(args[0]):
-                raise click.UsageError(f"fleet {args[0]} is now: {now}", ctx)
-            ours = ELSEWHERE.get(args[0])
-            hint = f"; use {ours}" if ours else f"; {nearest(args[0], VERBS) or 'fleet --help lists them'}"
-            raise click.UsageError(f"there is no command {quoted(args[0])}{hint}", ctx)
+            ours = hint_for(args[0])
+            hint = f"; use {ours}" if ours else f"; {nearest(args[0], every_verb()) or 'fleet --help lists them'}"
+            raise click.UsageError(f"there is no command {quoted(args[0])}{hint}{_left_out()}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands in their groups, without importing them."""
-        wide = max(map(len, VERBS))
-        for title, verbs in GROUPS.items():
+        wide = max(map(len, every_verb()))
+        for title, verbs in headings().items():
             with formatter.section(title):
                 formatter.write_dl([(name.ljust(wide), verb.help) for name, verb in verbs.items()])
 
@@ -113,7 +112,7 @@ def _meant(error: click.ClickException) -> str:
     if context is None:
         return ""
     if isinstance(error, click.NoSuchOption):
-        other = OTHER_OPTIONS.get((context.info_name or "", error.option_name))
+        other = other_option(context.info_name or "", error.option_name)
         if other:
             error.possibilities = []  # type: ignore[misc]
         return f" {other}" if other else ""
@@ -124,9 +123,20 @@ def _meant(error: click.ClickException) -> str:
 
 
 def command_of(name: str) -> click.Command:
-    """The command of a name that is in `VERBS`."""
-    offered: Sequence[click.Command] = import_module(VERBS[name].module).COMMANDS
-    return next(command for command in offered if command.name == name)
+    """The command of a name that `every_verb` has."""
+    return _checked(name, load(every_verb()[name].command))
+
+
+def _checked(name: str, found: Any) -> click.Command:
+    if not isinstance(found, click.Command):
+        raise FleetError(f"the add-on that brings fleet {name} gives {found!r:.80} in place of a click command")
+    return found
+
+
+def _left_out() -> str:
+    """The add-ons that this environment has and that cannot be used, with the reason of the first."""
+    names = installed().left_out
+    return f"\nadd-ons that are left out: {', '.join(names)} ({next(iter(names.values()))})" if names else ""
 
 
 _CHANGE = re.compile(r"unexpected extra arguments? \(([\w.*>-]+=[^)]*)\)")

@@ -430,6 +430,3 @@ def _table(first: str, *others: str) -> Table:
     for heading in others:
         table.add_column(heading, justify="left" if heading == "state" else "right", no_wrap=True)
     return table
-
-
-COMMANDS = (inject, heal, clock, stop, status)

@@ -1,19 +1,16 @@
-"""The arguments LOG and RUN|LOG of commands, which may be left out: then the newest run is meant."""
+"""The argument LOG of commands, which may be left out: then the newest run is meant."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import click
 
-from fleet.cli import completion
 from fleet.cli.completion import RUNS
-from fleet.cli.types import Fallback
+from fleet.cli.types import Fallback, is_given
 from fleet.option import Option
-
-if TYPE_CHECKING:
-    from fleet.addons.page.source import LiveSource, LogSource
 
 
 def newest_log() -> Path:
@@ -36,25 +33,11 @@ Log = Annotated[
     Option("An MCAP file, a run directory or a bag of ROS 2; by default the newest run below runs."),
     Fallback(newest_log),
 ]
-Shown = Annotated[str | None, completion.published_runs, Option(
-    "A live run that was started with --publish (its name, its scenario or its directory), an MCAP file, or a run "
-    "directory. By default the live run that began last; if none lives, the newest run below runs.",
-    "[RUN|LOG]")]  # fmt: skip
-LogRate = Annotated[float | None, click.FloatRange(0.001, 1000.0)]
-LogLoop = Annotated[bool, Option("For a log: begin again at the end.", flag="-l --loop")]
 
 
-def find_shown(what: str | None, rate: float | None, *, control: bool, loop: bool) -> LiveSource | LogSource:
-    """The run or the log to show.
-
-    Raises click.UsageError: a log cannot be disturbed, and a live run has its own pace; FleetError: there is none, or
-    the run is not published.
-    """
-    from fleet.addons.page.source import LiveSource, LogSource, find_source
-
-    source = find_source(what, RUNS)
-    if isinstance(source, LogSource) and control:
-        raise click.UsageError(f"--control needs a live run, not {source.path}: a log cannot be disturbed any more")
-    if isinstance(source, LiveSource) and (rate is not None or loop):
-        raise click.UsageError("--rate and --loop are for logs; fleet clock speed sets the pace of a live run")
-    return source
+def check_options(subject: Path, names: Collection[str], only_for: str) -> None:
+    """Refuse options that were given, by their parameters, if they are for what the subject is not: UsageError."""
+    options = click.get_current_context().command.params
+    given = [each.opts[-1] for each in options if each.name in names and is_given(each.name)]
+    if given:
+        raise click.UsageError(f"{', '.join(given)}: only for {only_for}; {subject} is none")

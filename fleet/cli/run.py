@@ -1,26 +1,26 @@
-"""The commands `fleet run` and `fleet netem`."""
+"""The command `fleet run`, and what it shares with others that make one run."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import click
 
-from fleet.addons.hosts.verbs.hosts import HostsOptions, rendezvous
 from fleet.cli import junit as cli_junit
-from fleet.addons.robots.verbs import ros2 as cli_ros2
-from fleet.addons.page.verbs import view as cli_view
 from fleet.cli.changes import Changes, key_options
+from fleet.cli.companion import Companion, Companions
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.group import EPILOG
 from fleet.cli.junit import Junit
 from fleet.cli.types import Trust, Whole, is_given
-from fleet.execution.options import OnlyDirectory, Options, RunsFolder
+from fleet.execution.options import Options
 from fleet.option import Option
 from fleet.terminal.output import OutputError, give_up_output
 from fleet.terminal.status_line import showing, stderr
@@ -51,10 +51,7 @@ def run(
     trust: Trust = False,
     show_config: Annotated[bool, Option("Print the merged scenario and stop.")] = False,
     how: Options,
-    view: Annotated[bool, Option(
-        "Open a page in the browser that shows the run; there you can also disturb it.")] = False,
-    ros2: Annotated[bool, Option("Publish the run, and show it to ROS 2 as fleet ros2 does.")] = False,
-    hosts: HostsOptions,
+    companions: Companions,
     junit: Junit = None,
 ) -> None:  # fmt: skip
     """Run SCENARIO (a shipped name or a YAML file) and judge it.
@@ -71,10 +68,6 @@ def run(
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
-    if how.wait_for_subscribers and not (how.publish or view or ros2):
-        raise click.UsageError(
-            "--wait-for-subscribers needs --publish, --view or --ros2: without them there is nothing to subscribe to"
-        )
     if json_is_asked() and show_config:
         raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
     asked_for = [*changes, *key_options(seed=seed, duration=duration)]
@@ -95,64 +88,61 @@ def run(
 
         for warning in [*analyse(loaded).warnings, *warnings(loaded)]:
             say(f"warning: {warning}", err=True)
-    asked = _checked(loaded, start, how, hosts, terminal, view=view, ros2=ros2)
+    beside = [each for each in companions if each.asked]
+    asked = _checked(loaded, start, how, beside, terminal)
     if not how.quiet:
         _tell_plan(loaded, start, in_process=asked.in_process)
-    _execute(loaded, asked, terminal, view=view, ros2=ros2, junit=junit)
+    execute_and_print(loaded, asked, beside, terminal, junit)
 
 
-def _execute(
-    scenario: Scenario, options: Options, terminal: Terminal, *, view: bool, ros2: bool, junit: Path | None
+def execute_and_print(
+    scenario: Scenario, options: Options, companions: Sequence[Companion], terminal: Terminal, junit: Path | None
 ) -> NoReturn:
-    """Run a scenario, beside the page (`view`) and the bridge (`ros2`) if they are wanted; print the result, exit."""
+    """Run a scenario, print its result, and exit with its status.
+
+    Args:
+        scenario: what to run.
+        options: how, as the companions have prepared it.
+        companions: what goes on beside the run.
+        terminal: for progress and warnings.
+        junit: where the result is written as a JUnit file, too; None: nowhere.
+    """
     from fleet.execution.execute import execute
 
-    with (
-        cli_view.page_process(asked=view, stays=not (options.quiet or json_is_asked())) as page,
-        cli_ros2.bridge_process(asked=ros2) as bridge,
-    ):
+    with ExitStack() as stack:
+        beside = [stack.enter_context(each.beside(options)) for each in companions]
 
         def on_published(directory: Path) -> None:
-            if bridge is not None:
-                bridge.start(directory)
-            if page is not None:
-                page.published(directory)
+            for each in reversed(beside):  # what may end the run's wait for a listener, such as the page, comes last
+                each.published(directory)
 
         result = execute(scenario, replace(options, on_published=on_published), terminal)
-        if page is not None and result.directory is not None:
-            page.over(result.directory)
+        if result.directory is not None:
+            for each in beside:
+                each.over(result.directory)
         cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
         _print_result(result, quiet=options.quiet)
     sys.exit(result.status.exit)
 
 
 def _checked(
-    scenario: Scenario,
-    start: Start | None,
-    how: Options,
-    hosts: HostsOptions,
-    terminal: Terminal,
-    *,
-    view: bool,
-    ros2: bool,
+    scenario: Scenario, start: Start | None, how: Options, companions: Sequence[Companion], terminal: Terminal
 ) -> Options:
     """How to run a scenario. Raises UsageError, FleetError: options do not go together, or with the scenario."""
     one_process = (
         "--in-process" if how.in_process else "--from" if start else "network: ideal" if scenario.ideal else ""
     )
-    place = rendezvous(scenario, hosts, in_process=bool(one_process))
-    for warning in place.warnings if place else ():
-        terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     _check_clock(how.speed, how.clock, one_process)
-    if ros2 and one_process:
+    for companion in companions:
+        how = companion.prepare(scenario, how, one_process)
+    for warning in how.rendezvous.warnings if how.rendezvous else ():
+        terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
+    if how.wait_for_subscribers and not how.publish:
         raise click.UsageError(
-            f"--ros2 needs a run with processes, so not with {one_process}; fleet ros2 plays its log afterwards"
+            "--wait-for-subscribers needs --publish, or an option that publishes the run, too: without it there is "
+            "nothing to subscribe to"
         )
-    if view and one_process:
-        raise click.UsageError(
-            f"--view needs a run with processes, so not with {one_process}; fleet view shows its log afterwards"
-        )
-    return replace(how, publish=how.publish or view or ros2, start=start, rendezvous=place)
+    return replace(how, start=start)
 
 
 def _tell_plan(scenario: Scenario, start: Start | None, *, in_process: bool) -> None:
@@ -225,56 +215,3 @@ def _print_failure(result: Result) -> None:
     if result.reason or (failed and not result.passed):
         lines = [f"fleet: {result.reason}", *result.lines] if result.reason else failed
         say("\n".join(lines), err=True)
-
-
-@command(
-    epilog="Exit status: 0 pass, 1 a check failed, 2 usage or bad file, 3 the run broke.",
-    document="fleet.result.result.Result",
-)
-def netem(
-    stack: Path,
-    *,
-    out: RunsFolder = Path("runs"),
-    seed: Annotated[int | None, SEED, Option("Override the file's seed.")] = None,
-    duration: Annotated[str | None, Option(
-        "End after this time, e.g. '5 min'; else with Ctrl-C or fleet stop.", "TIME")] = None,
-    changes: Changes,
-    trust: Trust = False,
-    show_config: Annotated[bool, Option("Print the merged file and stop.")] = False,
-    view: Annotated[bool, Option("Open a page in the browser that shows the run.")] = False,
-    junit: Junit = None,
-    quiet: OnlyDirectory = False,
-) -> None:  # fmt: skip
-    """Put the network of the file STACK between robots whose programs are yours, and judge what it carried.
-
-    Each node is a robot: its programs connect to an address of ours, or we join a router of theirs. Time is the wall
-    clock. Ctrl-C ends the run, prints the verdict and the table of links, and leaves a log.
-
-    \b
-    Examples:
-      fleet netem stack.yaml
-      fleet netem stack.yaml --net '* delay 300ms 50ms loss 20%' --duration '2 min'
-      fleet inject partition 'auv1 / auv2,shore' --for 30s
-      fleet netem stack.yaml --view
-    """
-    from fleet.addons.robots.stack.run import RelayRun
-    from fleet.analysis.robot_addresses import warnings
-    from fleet.processes.children import start_forkserver
-    from fleet.scenario.loading import load_scenario
-
-    if not show_config:
-        start_forkserver()
-    scenario = load_scenario(stack, [*changes, *key_options(seed=seed, duration=duration)])
-    if not scenario.nodes:
-        raise click.UsageError(f"{stack} has no nodes: fleet run {stack} runs it with agents of its own")
-    if show_config:
-        click.echo(scenario.to_yaml(), nl=False)
-        return
-    if not quiet:
-        for text in warnings(scenario):
-            say(f"warning: {text}", err=True)
-    asked = Options(out, clock=Clock.REAL, quiet=quiet, publish=view, relay=RelayRun)
-    _execute(scenario, asked, stderr(), view=view, ros2=False, junit=junit)
-
-
-COMMANDS = (run, netem)

@@ -15,6 +15,8 @@ from fleet.option import Option
 from fleet.terminal.table import stdout
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from fleet.execution.answers import LiveRunRow
     from fleet.execution.directory import PastRun
 
@@ -146,43 +148,44 @@ def _age(seconds: float) -> str:
     return f"{max(0, int(seconds))} s"
 
 
-@command("list", document="fleet.cli.documents.logs.Scenarios")
+@command("list", document="fleet.cli.listing.Listed")
 def list_() -> None:
-    """List the scenarios that ship with the package, by group, and the studies.
+    """List the scenarios that ship with the package, by group, and what add-ons ship, such as studies.
 
-    fleet ls lists the runs made of them. The cost of a study is the approximate time of all
-    its runs on one processor core, with compiled code.
+    fleet ls lists the runs made of them.
     """
-    from fleet.addons.studies.catalogue import list_studies
+    from fleet.cli.listing import listed, listings
     from fleet.scenario.catalogue import list_scenarios
 
-    scenarios, studies = list_scenarios(), list_studies()
+    scenarios, others = list_scenarios(), listings()
+    rows = {each.key: each.rows() for each in others}
     if json_is_asked():
-        from fleet.cli.documents.logs import Scenarios
-
-        print_document(Scenarios(scenarios, studies))
+        print_document(listed(scenarios, rows))
         return
-    from rich.table import Table
     from rich.text import Text
 
     from fleet.scenario.schema.groups import GROUPS
 
     terminal = stdout()
-    table = Table(box=None, pad_edge=False)
-    for heading in ("scenario", "UUVs", "time", "expect", "what it shows"):
-        table.add_column(heading, no_wrap=heading != "what it shows")
+    table = _table("scenario", "UUVs", "time", "expect", "what it shows")
     for group in GROUPS:
         table.add_row(Text(group, "bold"))
         for row in (row for row in scenarios if row.group == group):
             table.add_row(f"  {row.name}", str(row.vehicles), f"{row.duration_s:g} s", row.expect, row.title)
     terminal.print(table)
-    terminal.print()
+    for each in others:
+        terminal.print()
+        table = _table(*each.headings)
+        for one in rows[each.key]:
+            table.add_row(*each.cells(one))
+        terminal.print(table)
+
+
+def _table(*headings: str) -> Table:
+    """A table whose last column alone wraps."""
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False)
-    for heading in ("study", "runs", "cost", "what it asks"):
-        table.add_column(heading, no_wrap=heading != "what it asks")
-    for study in studies:
-        table.add_row(study.name, str(study.runs), f"{study.core_s / 60:.0f} min", study.title)
-    terminal.print(table)
-
-
-COMMANDS = (ls, list_)
+    for heading in headings:
+        table.add_column(heading, no_wrap=heading != headings[-1])
+    return table

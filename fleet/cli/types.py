@@ -223,18 +223,6 @@ class Words(click.ParamType[tuple[str, ...]]):
         return False
 
 
-class PictureWords(Words):
-    """Some of the given words, or signals such as `control.leads`; whether a log has such a signal is not known yet."""
-
-    others = ", and signals such as control.leads"
-
-    def allows(self, word: str) -> bool:
-        """Whether it has the form of a signal's name."""
-        from fleet.scenario.sections.signals import parse_name
-
-        return parse_name(word) is not None
-
-
 def _window(text: str) -> tuple[float, float]:
     from fleet.quantities import QuantityError, time_ns
 

@@ -14,9 +14,9 @@ from typing import Any
 from msgspec.structs import replace
 
 from agents.join_file import JoinFile
-from fleet.addons.hosts.rendezvous import JoinFolder
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.directory import RunDirectory
+from fleet.execution.rendezvous import JoinFolder
 from fleet.scenario.scenario import Scenario
 from netem.wire.credentials import Credentials, agent_role
 from netem.wire.keys import Keys

@@ -11,7 +11,7 @@ from fleet.option import Kind, Limits, Option
 from netem.vehicle_clock import Clock
 
 if TYPE_CHECKING:
-    from fleet.addons.hosts.rendezvous import Rendezvous
+    from fleet.execution.rendezvous import Rendezvous
     from fleet.execution.runner import MakeRelay
     from fleet.recorder.start import Start
 

@@ -21,13 +21,13 @@ import agents.process
 import netem.main
 import world.main
 from agents.process import running
-from fleet.addons.hosts.rendezvous import Rendezvous
 from fleet.errors import RunBroken
 from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.hosting import Hosting
 from fleet.execution.notes import Notes, folded, tick_text, without_agent
 from fleet.execution.options import Options
+from fleet.execution.rendezvous import Rendezvous
 from fleet.execution.session import EventKind, EventQueue, Session, connect_to_router, connect_to_world
 from fleet.processes.children import (
     FORKSERVER_LOST,

@@ -15,6 +15,7 @@ import yaml
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
+from fleet.logs.other import as_mcap
 from fleet.logs.records import MAGIC, Block, Digest, renumbered, together
 from fleet.logs.salvage import Damage, Item, Salvage
 from netem.files import read_file
@@ -247,9 +248,11 @@ def log_path(path: Path) -> Path:
     another one after the next run. Raises LogReadError: it is a bag that cannot be read here.
     """
     if not path.is_dir():
-        return path
+        return path if path.suffix == ".mcap" or not path.is_file() else as_mcap(path) or path
     folder = path.parent / path.readlink() if path.is_symlink() else path
     files = _bag(folder)
+    if not files and not (folder / "run.mcap").exists() and (made := as_mcap(folder)) is not None:
+        return made
     return folder / "run.mcap" if not files else files[0] if len(files) == 1 else folder
 
 

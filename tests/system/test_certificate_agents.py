@@ -26,9 +26,9 @@ from live import LiveRun
 from repository import ROOT
 from waiting import wait_for
 
-from fleet.addons.hosts.certificates import KeyPair
 from fleet.addons.hosts.protocol.conformance import CHECKS, Examination
-from fleet.addons.hosts.rendezvous import JoinFolder, Rendezvous, listening_for_certificates
+from fleet.addons.hosts.rendezvous import listening_for_certificates
+from fleet.execution.rendezvous import JoinFolder, KeyPair, Rendezvous
 from fleet.scenario.loading import load_scenario
 from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION

@@ -11,12 +11,13 @@ import ipaddress
 import re
 import secrets
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
+from fleet.execution.rendezvous import KeyPair
 from netem.files import ExposedFile, read_file, read_private, write_whole
 from netem.limits import CREDENTIALS
 
@@ -25,14 +26,6 @@ OWN = "fleet"  # what the run's own processes show to a router that asks for cer
 ALWAYS = ("localhost", "127.0.0.1")
 _SKEW = timedelta(hours=1)  # a host's clock may be late
 _LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
-
-
-@dataclass(frozen=True, slots=True)
-class KeyPair:
-    """A certificate and its private key, PEM."""
-
-    certificate: str
-    key: str = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)

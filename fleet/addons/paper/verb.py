@@ -63,6 +63,3 @@ def reproduce(
     else:
         output.print("no claim can be judged on these runs alone", highlight=False)
     output.print(str(path), highlight=False, soft_wrap=True)
-
-
-COMMANDS = (reproduce,)

@@ -38,7 +38,7 @@ class RecordedMessage(NamedTuple):
     at_ns: int
 
 
-class Selection(NamedTuple):
+class FieldSelection(NamedTuple):
     """The messages that become traces, and where their numbers are."""
 
     keys: Sequence[str] = ()  # patterns; empty: all
@@ -53,7 +53,7 @@ class Selection(NamedTuple):
 
 
 def write_field_traces(
-    log: Path, folder: Path, selection: Selection, *, force: bool = False, say: Callable[[str], None], tell: Tell
+    log: Path, folder: Path, selection: FieldSelection, *, force: bool = False, say: Callable[[str], None], tell: Tell
 ) -> list[Path]:
     """Write a trace for each key of a recording, and for each publisher if they count on their own.
 
@@ -182,7 +182,7 @@ def _numbers(arrivals: list[RecordedMessage], period_ns: int | None) -> list[int
 
 
 def _arrivals(
-    path: Path, selection: Selection, say: Callable[[str], None], tell: Tell
+    path: Path, selection: FieldSelection, say: Callable[[str], None], tell: Tell
 ) -> dict[str, list[RecordedMessage]]:
     """The messages of each key in the order of arrival; of each publisher, if several have numbers on one key."""
     reader = LogReader(path, tell)

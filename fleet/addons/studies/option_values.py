@@ -175,6 +175,11 @@ def _described(field: OptionField) -> str:
     return _QUOTED.sub(r"`\1`", field.option.help.removesuffix(".")) + f"{unit}.{default}"
 
 
+def by_key(field: OptionField, texts: Iterable[str]) -> dict[str, str]:
+    """The texts of an option that is given once per key. Raises StudyError: one has no key, or a key is twice there."""
+    return set_values(texts) if field.kind is Kind.VALUE else varied(texts, str(field.flag))
+
+
 def set_values(texts: Iterable[str]) -> dict[str, str]:
     """The values of several `--set KEY=VALUE` by key, of a key the last. Raises StudyError: one has no key."""
     values: dict[str, str] = {}

@@ -4,8 +4,8 @@ A field of `StudySpec` is an option of `fleet sweep`, a keyword of `fleet.sweep`
 key in study.json. One of `BoundarySpec` is an option of `fleet boundary`, a keyword of `fleet.boundary`, and a key in
 study.json. All of them follow from the field: from its name, its type, its default and the `Option` beside it.
 
-`fleet.addons.studies.option_values` reads what is given for a field. This module imports little, because `fleet sweep --help`
-waits for it.
+`fleet.addons.studies.option_values` reads what is given for a field. This module imports little, because
+`fleet sweep --help` waits for it.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ Timeout = Annotated[Time, Option("The longest wall time of one run, e.g. '5 min'
 
 class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
     """A study of `fleet sweep`. Values are texts, as on the command line."""
+
+    READER = "fleet.addons.studies.option_values"
 
     scenario: Annotated[str, Kind.SCENARIO, Option("A shipped name or a file.", flag=None)]
     title: Annotated[str, Option("What the study asks.", flag=None)] = ""
@@ -99,6 +101,8 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
 
 class BoundarySpec(msgspec.Struct, frozen=True, kw_only=True):
     """A study of `fleet boundary`: where the pass rate falls through a level."""
+
+    READER = "fleet.addons.studies.option_values"
 
     along: Annotated[str, Kind.ALONG, Option("The key and the range along which to look for the border.")] = ""
     per: Annotated[Values, Option("One border for each of these values; repeatable.")] = {}

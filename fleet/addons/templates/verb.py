@@ -203,6 +203,3 @@ def _taken(name: str) -> str | None:
     except ValueError:  # a module that is loaded, of unknown origin
         return "built in"
     return None if found is None else found.origin or "a folder"
-
-
-COMMANDS = (new,)

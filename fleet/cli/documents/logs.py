@@ -8,7 +8,6 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from fleet.addons.studies.catalogue import ListedStudy
 from fleet.analysis.border import LinearFleet
 from fleet.analysis.link_shares import effective_loss, written
 from fleet.analysis.preflight import may_draw
@@ -19,18 +18,10 @@ from fleet.execution.answers import LiveRunRow
 from fleet.execution.directory import PastRun
 from fleet.logs.deviation import Difference, LogComparison
 from fleet.logs.fault_intervals import FaultTime
-from fleet.scenario.catalogue import ListedScenario
 from fleet.scenario.scenario import Scenario, timeline
 from netem.condition import Link
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
-
-
-class Scenarios(Struct):
-    """`fleet list --json`: the scenarios and the studies that ship with the package."""
-
-    scenarios: list[ListedScenario]
-    studies: list[ListedStudy]
 
 
 class Runs(Struct):

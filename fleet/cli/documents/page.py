@@ -12,11 +12,11 @@ import msgspec
 from fleet.cli.declare import DeclaredCommand
 from fleet.cli.documents.failure import FailedCommand
 from fleet.cli.group import command_of
-from fleet.cli.verbs import VERBS
+from fleet.cli.verbs import every_verb
 
 DOCUMENTS: dict[str, type[msgspec.Struct]] = {
     words: document
-    for made in map(command_of, sorted(VERBS))
+    for made in map(command_of, sorted(every_verb()))
     if isinstance(made, DeclaredCommand)
     for words, document in made.document_types().items()
 }

@@ -1,8 +1,8 @@
 """The scene of a run: what there is to draw, for every renderer.
 
 A renderer is the page, the movie, the scene of Foxglove in the log, or the pictures of the tracks. Each paints the
-kinds of `fleet.recorder.scene.primitives` that it has, in its theme. A new thing to draw is a line in `SceneModel.standing` or
-`SceneModel.moving`.
+kinds of `fleet.recorder.scene.primitives` that it has, in its theme. A new thing to draw is a line in
+`SceneModel.standing` or `SceneModel.moving`.
 """
 
 from __future__ import annotations

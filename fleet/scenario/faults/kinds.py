@@ -1,16 +1,19 @@
-"""All kinds of faults. A new one is a class and one line here."""
+"""All kinds of faults. A new one of ours is a class and one line here; one of an add-on registers itself."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from fleet.addon import parts
 from fleet.scenario.faults.kind import FaultKind
 from fleet.scenario.faults.of_agents import OF_AGENTS
 from fleet.scenario.faults.of_links import OF_LINKS
 from fleet.scenario.faults.of_motion import OF_MOTION
 from fleet.scenario.faults.of_sensors import OF_SENSORS
 
-_ALL = (*OF_LINKS, *OF_AGENTS, *OF_SENSORS, *OF_MOTION)
-KINDS: Mapping[str, FaultKind] = MappingProxyType({kind.name: kind for kind in _ALL})
+_OURS = (*OF_LINKS, *OF_AGENTS, *OF_SENSORS, *OF_MOTION)
+KINDS: Mapping[str, FaultKind] = MappingProxyType(
+    {kind.name: kind for kind in (*parts("fault_kinds"), *_OURS)}  # the last of a name holds: none replaces ours
+)
 OF_ROBOTS = tuple(name for name, kind in KINDS.items() if kind.acts_on == "network")  # that are not ours, too

@@ -17,12 +17,12 @@ from refusals import check_refusals
 from repository import ROOT
 from waiting import wait_for
 
+from fleet.addons.fmu import fmu
 from fleet.addons.fmu.fmu import FmuPlant, fmu_class
 from fleet.addons.fmu.fmu_variables import Description, UnitVariable, _Reader
 from world.api import PlantConfig, Vec3, Vec6, Water
 from world.config import PlantSetup, VehicleParams
 from world.errors import FmuError, PlantError, PluginError, UntrustedError
-from fleet.addons.fmu import fmu
 from world.plants.classes import plant_class
 from world.plants.fenced_plant import FencedPlant
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from fleet.addons.fmu import fmu_archive
 from fleet.addons.fmu.fmu_archive import DESCRIPTION, archive, platforms, unpack
 from netem.limits import FMU, FMU_DESCRIPTION
 from world.errors import FmuError
-from fleet.addons.fmu import fmu_archive
 
 
 def made(path: Path, files: dict[str, bytes]) -> Path:

@@ -10,11 +10,11 @@ from refusals import check_refusals
 from repository import ROOT
 from spawned import python
 
+from fleet.addons.fmu import fmu_archive, fmu_variables
 from fleet.addons.fmu.fmu_archive import archive
 from fleet.addons.fmu.fmu_variables import BaseUnit, UnitVariable, parse
 from netem.limits import FMU_DESCRIPTION
 from world.errors import FmuError
-from fleet.addons.fmu import fmu_archive, fmu_variables
 
 SIMULATION = '<CoSimulation modelIdentifier="m"/>'
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fleet.addons.hosts.certificates import KeyPair
-from fleet.addons.hosts.rendezvous import JoinFolder
 from fleet.execution.directory import remove_secrets
+from fleet.execution.rendezvous import JoinFolder, KeyPair
 from netem.wire.keys import Keys
 
 FOLDER = JoinFolder(3, ("tls/sea:1", "tls/192.0.2.7:1"), 20_000, "the CA\n", KeyPair("the certificate\n", "the key\n"))

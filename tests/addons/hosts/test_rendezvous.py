@@ -21,16 +21,11 @@ from repository import ROOT
 from tool import invoke
 
 from fleet.addons.hosts import router_config
-from fleet.addons.hosts.rendezvous import (
-    Rendezvous,
-    listening,
-    listening_for_certificates,
-    parse_endpoint,
-    read_credentials,
-)
+from fleet.addons.hosts.rendezvous import listening, listening_for_certificates, parse_endpoint, read_credentials
 from fleet.addons.hosts.verbs.hosts import HostsOptions, rendezvous
 from fleet.cli.group import command_of
 from fleet.errors import FleetError
+from fleet.execution.rendezvous import Rendezvous
 from fleet.scenario.loading import load_scenario
 from netem.wire.credentials import Credentials, Listener, agent_role
 

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from fleet.recorder.scene.primitives import CrossShape
 from small_scenario import small
 
 from fleet.addons.page.live_feed import LiveFeed
 from fleet.addons.page.source import LiveSource
 from fleet.addons.page.view_state import ViewState
 from fleet.logs.schemas import BELIEF, flat_schema
+from fleet.recorder.scene.primitives import CrossShape
 from fleet.replay.live_journal import LiveJournal, pack_counts
 from fleet.replay.observed import Observed
 from fleet.replay.topics import PublishedTopic

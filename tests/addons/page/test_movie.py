@@ -11,7 +11,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
-from fleet.recorder.scene.styles import PRINT, LinkState
 from hypothesis import given
 from hypothesis import strategies as st
 from in_process_runs import Alone, log_of
@@ -25,6 +24,7 @@ from fleet.addons.page.movie import write
 from fleet.addons.page.movie_scene import SCENE_PT, Camera, MovieScene
 from fleet.addons.page.view_state import ViewState
 from fleet.errors import FleetError
+from fleet.recorder.scene.styles import PRINT, LinkState
 from fleet.scenario.loading import load_scenario
 
 CUT = PRINT.links[LinkState.CUT].colour

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from repository import ROOT
 from tool import invoke
 
-from fleet.addons.robots.field_traces import RecordedMessage, Selection, trace_of, write_field_traces
+from fleet.addons.robots.field_traces import FieldSelection, RecordedMessage, trace_of, write_field_traces
 from fleet.addons.robots.link_fit import fit
 from fleet.addons.robots.ros2.rmw import Attachment, pack
 from fleet.errors import FleetError
@@ -30,7 +30,7 @@ from netem.wire.open_bus import ZenohSample
 WALL_NS = 1_764_000_000 * 10**9
 STACK = ROOT / "docs" / "examples" / "field_network" / "stack.yaml"
 KEY = "auv1/status"
-COUNTED = Selection(sequence="seq")
+COUNTED = FieldSelection(sequence="seq")
 
 
 def sample(payload: bytes, stamp_ns: int | None, attachment: bytes | None = None, key: str = KEY) -> ZenohSample:
@@ -45,7 +45,7 @@ def record(path: Path, samples: list[tuple[int, ZenohSample]]) -> Path:
     return path
 
 
-def traces(recording: Path, selection: Selection = COUNTED) -> tuple[list[TraceTable], list[str]]:
+def traces(recording: Path, selection: FieldSelection = COUNTED) -> tuple[list[TraceTable], list[str]]:
     said: list[str] = []
     folder = recording.parent / "links"
     files = write_field_traces(recording, folder, selection, force=True, say=said.append, tell=lambda _: None)
@@ -126,7 +126,7 @@ def test_each_publisher_of_ros_counts_on_its_own_and_says_when_it_sent(tmp_path:
         for who in (1, 2)
         if (n, who) not in ((2, 1), (4, 2), (5, 2))
     ]
-    found, said = traces(record(tmp_path / "ros.mcap", samples), Selection())
+    found, said = traces(record(tmp_path / "ros.mcap", samples), FieldSelection())
     assert [flags(table) for table in found] == ["101111", "111001"]
     assert {row.delay_ns for table in found for row in table.rows if row.delivered} == {5_000_000}
     assert said[0].startswith("auv1/status 01010101: 6 messages in 0.5 s, 16.7 % lost, up to 1 in a row")
@@ -135,10 +135,10 @@ def test_each_publisher_of_ros_counts_on_its_own_and_says_when_it_sent(tmp_path:
 def test_a_period_shows_gaps_without_numbers(tmp_path: Path) -> None:
     times = (0.0, 1.1, 1.9, 5.0, 6.1)
     path = record(tmp_path / "p.mcap", [(round(t * 1e9), sample(b"", None)) for t in times])
-    (table,), (said,) = traces(path, Selection(period_ns=10**9))
+    (table,), (said,) = traces(path, FieldSelection(period_ns=10**9))
     assert (flags(table), table.columns) == ("1110011", ("time", "delivered"))
     assert "no time of sending, so no delay" in said
-    for nothing in (Selection(), COUNTED):
+    for nothing in (FieldSelection(), COUNTED):
         with pytest.raises(FleetError, match="give --sequence FIELD or --period TIME"):
             traces(path, nothing)
 
@@ -159,10 +159,10 @@ def test_the_sequence_of_another_recorder_tells_gaps(tmp_path: Path) -> None:
         for n in (3, 4, 6):
             writer.message(channel, WALL_NS + n * 10**8 + 7, WALL_NS + n * 10**8, n, b"{}")
         writer.finish()
-    (table,), said = traces(path, Selection())
+    (table,), said = traces(path, FieldSelection())
     assert flags(table) == "1101"
     assert "if its recorder counts arrivals there, no loss shows" in said[0]
-    (table,), _ = traces(path, Selection(period_ns=5 * 10**7))
+    (table,), _ = traces(path, FieldSelection(period_ns=5 * 10**7))
     assert flags(table) == "1010001"
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from fleet.addons.hosts.rendezvous import Rendezvous
 from fleet.errors import FleetError
 from fleet.execution import hosting as module
 from fleet.execution.hosting import Hosting, hosting
 from fleet.execution.options import Options
+from fleet.execution.rendezvous import Rendezvous
 from fleet.scenario.loading import load_scenario
 from netem.vehicle_clock import Clock
 

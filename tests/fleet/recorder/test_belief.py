@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fleet.recorder.scene.model import NewestBeliefs, PlaceBelief, drawn_belief, ellipse
-from fleet.recorder.scene.primitives import AreaShape, CrossShape, Primitive, plain
 from hypothesis import given
 from hypothesis import strategies as st
 from in_process_runs import Alone, log_of
@@ -25,6 +23,8 @@ from fleet.addons.pictures.report import believed_errors
 from fleet.addons.pictures.runs import Run, View, load
 from fleet.addons.pictures.track import _believed, _tracks, space, top
 from fleet.logs.open_log import open_log
+from fleet.recorder.scene.model import NewestBeliefs, PlaceBelief, drawn_belief, ellipse
+from fleet.recorder.scene.primitives import AreaShape, CrossShape, Primitive, plain
 from fleet.scenario.loading import load_scenario
 
 PLACE = (1.0, 2.0, 3.0)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from fleet.recorder.scene.styles import (
     ARRIVED,
     BEHIND,
@@ -17,9 +20,6 @@ from fleet.recorder.scene.styles import (
     stale_after,
     state_of,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-
 from netem.fault_kinds import Cause
 
 ROUND_S = 0.1

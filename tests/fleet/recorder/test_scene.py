@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fleet.recorder.scene.model import diameter
-from fleet.recorder.scene.styles import CUTS, FOXGLOVE, HISTORY
 from hypothesis import given
 from hypothesis import strategies as st
 from in_process_runs import Alone, log_of
@@ -26,6 +24,8 @@ from fleet.execution.options import Options
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
 from fleet.recorder.scene.messages import LinkHistories, Scene, hull
+from fleet.recorder.scene.model import diameter
+from fleet.recorder.scene.styles import CUTS, FOXGLOVE, HISTORY
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario

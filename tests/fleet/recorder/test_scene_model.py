@@ -6,6 +6,11 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from repository import ROOT
+from small_scenario import small
+
+from fleet.addons.page.movie_scene import Camera, Canvas, sample
 from fleet.recorder.scene.model import SceneModel, depth_text
 from fleet.recorder.scene.primitives import (
     NED,
@@ -20,11 +25,6 @@ from fleet.recorder.scene.primitives import (
     points_of,
 )
 from fleet.recorder.scene.styles import FOXGLOVE, PAGE, PRINT
-from matplotlib.figure import Figure
-from repository import ROOT
-from small_scenario import small
-
-from fleet.addons.page.movie_scene import Camera, Canvas, sample
 from fleet.scenario.loading import load_scenario
 
 PAGE_MODULES = ROOT / "fleet/addons/page/page/modules"

@@ -23,8 +23,8 @@ import msgpack
 
 from agents import payload
 from agents.join_file import JoinFile
-from fleet.addons.hosts.rendezvous import Rendezvous
 from fleet.errors import FleetError
+from fleet.execution.rendezvous import Rendezvous
 from fleet.processes.limits import free_port
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace

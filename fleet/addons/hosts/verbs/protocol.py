@@ -72,7 +72,8 @@ def check(
       fleet protocol check --id 3 --listen-certified tls/127.0.0.1:7448 --certs certs
     """
     from fleet.addons.hosts.protocol.conformance import Examination
-    from fleet.addons.hosts.rendezvous import CERTIFIED, Rendezvous, check_free, listening_for_certificates
+    from fleet.addons.hosts.rendezvous import CERTIFIED, check_free, listening_for_certificates
+    from fleet.execution.rendezvous import Rendezvous
     from fleet.scenario.loading import load_scenario
     from netem.wire.session import quiet_zenoh
 
@@ -221,6 +222,3 @@ def _leave(status: int) -> NoReturn:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
-
-
-COMMANDS = (protocol, agent)

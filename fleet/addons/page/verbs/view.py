@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing
 from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from fleet.addons.page.verbs.shown import LogLoop, LogRate, Shown, find_shown
 from fleet.cli.declare import command
-from fleet.cli.log_argument import LogLoop, LogRate, Shown, find_shown
 from fleet.cli.types import Whole
 from fleet.option import Option
 
 if TYPE_CHECKING:
-    from fleet.addons.page.page_process import PageProcess
     from fleet.addons.page.source import LiveSource, LogSource
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or no port, 129 terminal closed, 130 Ctrl-C."
@@ -108,31 +105,3 @@ def show_page(
                 opened.open()
             serve(feed, listener, may_act=may_act)
     raise KeyboardInterrupt
-
-
-@contextmanager
-def page_process(*, asked: bool, stays: bool) -> Iterator[PageProcess | None]:
-    """The page of the run that is made within, where one is asked for.
-
-    It is to be told when the journal of the run can be read, and when the run is over.
-
-    `stays`: on a terminal, it stays until Ctrl-C when the run is over.
-    """
-    if not asked:
-        yield None
-        return
-    from fleet.addons.page.page_process import PageProcess
-    from fleet.addons.page.server import Browser, open_listener
-
-    listener = open_listener()
-    click.echo(f"the run in the browser: {listener.address}", err=True)
-    with closing(PageProcess(listener)) as page, closing(Browser(listener.address)) as browser:
-        browser.open()
-        yield page
-        if stays and sys.stdin.isatty() and sys.stderr.isatty():
-            click.echo("the page stays as it is; Ctrl-C ends it", err=True)
-            with suppress(KeyboardInterrupt):
-                page.wait()
-
-
-COMMANDS = (view,)

@@ -3,57 +3,28 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from fleet.addons.page.verbs.shown import LogLoop, LogRate, Shown, find_shown
 from fleet.cli.declare import command
 from fleet.cli.group import exit_status
-from fleet.cli.log_argument import LogLoop, LogRate, Shown, find_shown
 from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT, Distribution, Whole
 from fleet.errors import FleetError
 from fleet.option import Option
-from fleet.processes.side_process import begin, end, line_of, pipe
 from fleet.terminal.status_line import StatusLine, showing
-from fleet.terminal.table import say
 
 if TYPE_CHECKING:
     from fleet.addons.page.source import LiveSource, LogSource
     from fleet.addons.robots.ros2.bridge import RosBridge
     from fleet.addons.robots.ros2.translation import Translation
 
-READY_S = 30.0
-CLOSE_S = 8.0  # after the run, for what is on its way
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or domain, 129 terminal closed, 130 Ctrl-C."
 NODE = "uuv_fleet"
-
-
-class BridgeProcess:
-    """The bridge of `fleet run --ros2`: `fleet ros2` in a process of its own, which ends with the run."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def start(self, directory: Path) -> None:
-        """Start it, and wait until nodes can see the run. If they cannot, the run goes on without it."""
-        # It ends with the run's publisher.
-        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE}
-        self._process = begin("fleet.__main__", "ros2", str(directory), **streams)
-        if not line_of(self._process, READY_S):
-            self.close(0.0)
-            say("warning: the run goes on without ROS 2, which fleet ros2 can join later", err=True)
-
-    def close(self, limit_s: float = CLOSE_S) -> None:
-        """End it, once it has published what there was."""
-        process, self._process = self._process, None
-        if process is not None:
-            end(process, limit_s)
-            pipe(process.stdout).close()
 
 
 @command(epilog=EPILOG)
@@ -187,19 +158,6 @@ def _serve_log(
             bridge.checks(judged["rows"])
 
 
-@contextmanager
-def bridge_process(*, asked: bool) -> Iterator[BridgeProcess | None]:
-    """The bridge of the run that is made within, where one is asked for; it is to be started when that is published."""
-    if not asked:
-        yield None
-        return
-    from fleet.addons.robots.ros2.types import types_of
-
-    types_of()
-    with closing(BridgeProcess()) as bridge:
-        yield bridge
-
-
 def _write_interfaces(folder: Path) -> None:
     from fleet.addons.robots.ros2.types import INTERFACES
 
@@ -211,6 +169,3 @@ def _write_interfaces(folder: Path) -> None:
     except OSError as error:
         raise FleetError(f"cannot write {place}: {error.strerror or error}") from None
     click.echo(place)
-
-
-COMMANDS = (ros2,)

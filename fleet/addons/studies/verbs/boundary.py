@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from fleet.addons.pictures.verbs.choice import PictureFormats
 from fleet.addons.studies.spec import BoundarySpec, seconds
 from fleet.addons.studies.verbs.study_options import (
     MakingStudy,
@@ -22,7 +23,6 @@ from fleet.addons.studies.verbs.study_options import (
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
-from fleet.cli.logs import PictureFormats
 from fleet.cli.types import is_given
 from fleet.option import Option
 from fleet.terminal.status_line import StatusLine
@@ -184,6 +184,3 @@ def _at_end(row: Border) -> str:
         return ""
     rate = row.last if row.where == "above" else row.first
     return f"{100 * rate.value:.0f}  {100 * rate.low:.0f}..{100 * rate.high:.0f}"
-
-
-COMMANDS = (boundary,)

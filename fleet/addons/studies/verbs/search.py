@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import click
 
+from fleet.addons.studies.verbs import junit_cases
 from fleet.addons.studies.verbs.study_options import LeastFile, WorkerOptions
 from fleet.cli import junit as cli_junit
 from fleet.cli.changes import Changes
@@ -242,7 +243,7 @@ def search(
             raise
     found = hunt.found
     again = f"fleet run {scenario} --seed {found.seed}"
-    cli_junit.write(junit, found.name, cli_junit.of_search(found, hunt.kept, again))
+    cli_junit.write(junit, found.name, junit_cases.of_search(found, hunt.kept, again))
     _print_search(found, hunt.least, check, hunt.path, hunt.kept)
     if found.scenario is not None:
         sys.exit(1)
@@ -381,7 +382,7 @@ def regress(
         found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))
     if accept:
         found = regression.accept(found)
-    cli_junit.write(junit, folder.name, cli_junit.of_regress(found))
+    cli_junit.write(junit, folder.name, junit_cases.of_regress(found))
     if json_is_asked():
         from fleet.addons.studies.verbs.documents import regressed
 
@@ -463,6 +464,3 @@ def _rare_lines(found: RareFound) -> Iterator[str]:
         )
     if not found.probability:
         yield "no repeat got as far as a failure: raise --effort or --repeats"
-
-
-COMMANDS = (shrink, search, regress, rare)

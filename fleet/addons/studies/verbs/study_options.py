@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from fleet.addons.studies.spec import BoundarySpec, StudySpec
+from fleet.cli.completion import names_or_files
 from fleet.cli.types import FILE, FOLDER, Trust, Whole, is_given
 from fleet.option import Option, fields
 from fleet.terminal.status_line import BAR, StatusLine, bar
@@ -21,6 +23,15 @@ if TYPE_CHECKING:
     from fleet.addons.studies.record import AxisRecord
     from fleet.addons.studies.store import Store
     from fleet.addons.studies.sweep import Progress
+
+
+def studies(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Complete shipped studies and scenarios; without one, files."""
+    from fleet.addons.studies.catalogue import shipped_studies
+    from fleet.scenario.catalogue import shipped_scenarios
+
+    return names_or_files([*shipped_studies(), *shipped_scenarios()], typed)
+
 
 StudiesFolder = Annotated[
     Path, FOLDER, Option("The folder for studies; each gets a directory of its own.", flag="-o --out")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import click
 
 from fleet.addons.studies.spec import KeepLogs, StudySpec
+from fleet.addons.studies.verbs import junit_cases
 from fleet.addons.studies.verbs.study_options import (
     MakingStudy,
     StudiesFolder,
@@ -18,10 +19,10 @@ from fleet.addons.studies.verbs.study_options import (
     given_values,
     progress_pieces,
     show_reached,
+    studies,
     study_directory,
 )
 from fleet.cli import junit as cli_junit
-from fleet.cli.completion import studies
 from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.junit import Junit
@@ -88,7 +89,7 @@ def sweep(
         store, spec, modules = *_opened(directory, asked), None
     shown = _columns(store, spec)
     _run(store, spec, modules, how)
-    cli_junit.write(junit, store.record.scenario, cli_junit.of_study(store))
+    cli_junit.write(junit, store.record.scenario, junit_cases.of_study(store))
     if json_is_asked():
         from fleet.addons.studies.verbs.documents import swept
 
@@ -269,6 +270,3 @@ def _number(found: Estimate, of: int) -> str:
     if found.low != found.high and isfinite(found.low):
         text += f"  {found.low:.3g}..{found.high:.3g}"
     return text if found.runs == of else f"{text} ({found.runs} runs)"
-
-
-COMMANDS = (sweep,)

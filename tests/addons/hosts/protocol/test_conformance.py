@@ -22,11 +22,10 @@ from live import LiveRun
 from repository import ROOT
 from waiting import wait_for
 
-from fleet.addons.hosts.certificates import KeyPair
 from fleet.addons.hosts.protocol import conformance
 from fleet.addons.hosts.protocol.conformance import CHECKS, Examination, ProtocolCheck
-from fleet.addons.hosts.rendezvous import JoinFolder, Rendezvous
 from fleet.errors import FleetError
+from fleet.execution.rendezvous import JoinFolder, KeyPair, Rendezvous
 from fleet.repeat.verify import verification_lines, verify
 from fleet.scenario.loading import load_scenario
 

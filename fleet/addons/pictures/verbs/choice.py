@@ -1,0 +1,121 @@
+"""What pictures of a log, or of something like it, show: options that several commands have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from fleet.cli.completion import RUNS, for_the_shell
+from fleet.cli.types import (
+    VEHICLES,
+    WINDOW,
+    Folder,
+    Words,
+)
+from fleet.logs.other import OtherData, other_data
+from fleet.option import Option
+
+KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "timing")
+PARTS = ("track-3d", "formation")  # single pictures of track and error
+FORMATS = ("png", "svg", "pdf")
+OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written
+OF_LOGS = ("what", "compare", "vehicles", "window")
+OF_STUDIES = ("measures",)
+
+
+@dataclass(frozen=True, slots=True)
+class PictureChoice:
+    """What pictures of a log, or of a study, show."""
+
+    measures: Annotated[tuple[str, ...], Option(
+        "For a study: another measure to show; repeatable. An unknown name lists them.", "NAME",
+        "--measure")] = ()  # fmt: skip
+    vehicles: Annotated[tuple[int, ...] | None, VEHICLES, Option("Only these, e.g. 1,3-5.")] = None
+    log_scale: Annotated[bool | None, Option(
+        "Errors, other signals and ages on a logarithmic axis, or all on a linear one. By default errors are "
+        "logarithmic, and a study's measures that span much.", flag="--log-scale/--linear")] = None  # fmt: skip
+    window: Annotated[tuple[float, float] | None, WINDOW, Option(
+        "Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the whole "
+        "run.")] = None  # fmt: skip
+
+
+PictureFormats = Annotated[tuple[str, ...], Words(FORMATS)]
+
+
+class PicturesFolder(Folder):
+    """A folder for pictures; refused is what looks like a picture's file."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        folder = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
+        if folder.suffix.lower()[1:] in (*FORMATS, *OTHER_FORMATS) and not folder.is_dir():
+            self.fail(
+                f"expected a folder, because there are several pictures, got {str(folder)!r}; choose their format with "
+                f"--format: {', '.join(FORMATS)}",
+                param,
+                ctx,
+            )
+        return folder
+
+
+class PictureWords(Words):
+    """Some of the given words, or signals such as `control.leads`; whether a log has such a signal is not known yet."""
+
+    others = ", and signals such as control.leads"
+
+    def allows(self, word: str) -> bool:
+        """Whether it has the form of a signal's name."""
+        from fleet.scenario.sections.signals import parse_name
+
+        return parse_name(word) is not None
+
+
+def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Complete the last word of a list of pictures, also with the signals of the log."""
+    before, comma, last = typed.rpartition(",")
+    words = [*getattr(parameter.type, "words", ())]
+    try:
+        from fleet.execution.directory import newest_run
+        from fleet.logs.topic_names import signal_names
+
+        # Where the option has no value yet, click has not told the arguments apart.
+        log = context.params.get("log") or next(iter(context.args), None)
+        words += signal_names(Path(log) if log else newest_run(RUNS) or RUNS)
+    except Exception:
+        words = words[:]  # no log, or none that can be read: the words alone
+    return [CompletionItem(for_the_shell(before + comma + word)) for word in words if word.startswith(last)]
+
+
+class DrawnData(OtherData):
+    """Something besides a log that `fleet plot` and `fleet report` can draw."""
+
+    def plot(self, path: Path, out: Path | None, shown: PictureChoice, formats: Sequence[str]) -> Sequence[Path]:
+        """Draw it, and tell what could not be drawn.
+
+        Args:
+            path: what the user named.
+            out: the folder for pictures; None: `plots` in or beside it.
+            shown: what they show.
+            formats: some of `FORMATS`.
+
+        Returns:
+            The files.
+
+        Raises:
+            FleetError: it cannot be read, or the place cannot be written.
+        """
+        raise NotImplementedError
+
+    def report(self, path: Path, out: Path, shown: PictureChoice) -> None:
+        """Write the page `out` about it. Raises FleetError as `plot` does."""
+        raise NotImplementedError
+
+
+def drawn_data(path: Path) -> DrawnData | None:
+    """What draws something that is no log; None: nobody does."""
+    found = other_data(path)
+    return found if isinstance(found, DrawnData) else None

@@ -1,0 +1,93 @@
+"""The command `fleet plot`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import click
+
+from fleet.addons.pictures.verbs.choice import (
+    KINDS,
+    OF_LOGS,
+    OF_STUDIES,
+    PARTS,
+    PictureChoice,
+    PictureFormats,
+    PicturesFolder,
+    PictureWords,
+    drawn_data,
+    pictures,
+)
+from fleet.cli.declare import command
+from fleet.cli.log_argument import Log, check_options
+from fleet.cli.types import (
+    NoProgress,
+)
+from fleet.option import Option
+from fleet.terminal.status_line import showing
+from fleet.terminal.table import say
+
+
+@command()
+def plot(
+    log: Log,
+    *,
+    out: Annotated[Path | None, PicturesFolder(path_type=Path, file_okay=False), Option(
+        "The folder for pictures; by default `plots` next to the log.", flag="-o --out")] = None,
+    what: Annotated[tuple[str, ...], PictureWords(KINDS, "all", PARTS), pictures, Option(
+        f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
+        "the log: control.leads, command.tau_0, '|error.e|'.")] = KINDS,
+    formats: Annotated[PictureFormats, Option("Some of png, svg, pdf.", flag="--format")] = ("png",),
+    compare: Annotated[tuple[Path, ...], Option("Another run on the same axes; repeatable.", "LOG2")] = (),
+    shown: PictureChoice,
+    quiet: NoProgress = False,
+) -> None:  # fmt: skip
+    """Draw pictures of LOG (an MCAP file, or a run directory), as wide as a column of a journal.
+
+    The pictures are: tracks, consensus and formation errors with the limits of the checks, inputs with their limits,
+    shares of packets by fate, messages in space and time, ages of information, the signals that the checks name, and
+    any other signal. Faults are shaded. Prints the files.
+
+    For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes,
+    and differences in pairs of runs with the same seed. Hatched areas have runs without the number.
+
+    \b
+    Examples:
+      fleet plot
+      fleet plot --what error,inputs --format svg,pdf --linear
+      fleet plot --what messages --window 20s..22s
+      fleet plot --what state.z --vehicles 1,4
+      fleet plot runs/a --compare runs/b --what error -o compared
+      fleet plot studies/rough-sea-20261122-101500 --measure e_rms_m
+    """
+    if other := drawn_data(log):
+        check_options(log, OF_LOGS, "logs")
+        _print(other.plot(log, out, shown, formats))
+        return
+    check_options(log, OF_STUDIES, "studies")
+    from fleet.addons.pictures.gallery import check_signals, write
+    from fleet.addons.pictures.runs import View, check_view, load
+    from fleet.logs.reader import log_path
+
+    said: list[str] = []
+    with showing("reading") as tell:
+        runs = load([log, *compare], tell)
+    view = View(shown.vehicles, shown.log_scale, shown.window)
+    check_view(runs, view)
+    check_signals(what, runs)
+    with showing("drawing") as tell:
+        paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, tell)
+    cut = [f"{run.label}: {run.log.missing}" for run in runs if run.log.missing]
+    for note in dict.fromkeys([*cut, *(note for run in runs for note in run.notes), *said]):
+        say(f"fleet: {note}", err=True)
+    _print(paths)
+
+
+def _print(paths: Sequence[Path]) -> None:
+    for path in paths:
+        click.echo(path)
+    if not paths:
+        sys.exit(1)

@@ -1,0 +1,73 @@
+"""The command `fleet netem`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import click
+
+from fleet.cli.changes import Changes, key_options
+from fleet.cli.companion import Companions
+from fleet.cli.declare import command
+from fleet.cli.junit import Junit
+from fleet.cli.run import SEED, execute_and_print
+from fleet.cli.types import Trust
+from fleet.execution.options import OnlyDirectory, Options, RunsFolder
+from fleet.option import Option
+from fleet.terminal.status_line import stderr
+from fleet.terminal.table import say
+from netem.vehicle_clock import Clock
+
+
+@command(
+    epilog="Exit status: 0 pass, 1 a check failed, 2 usage or bad file, 3 the run broke.",
+    document="fleet.result.result.Result",
+)
+def netem(
+    stack: Path,
+    *,
+    out: RunsFolder = Path("runs"),
+    seed: Annotated[int | None, SEED, Option("Override the file's seed.")] = None,
+    duration: Annotated[str | None, Option(
+        "End after this time, e.g. '5 min'; else with Ctrl-C or fleet stop.", "TIME")] = None,
+    changes: Changes,
+    trust: Trust = False,
+    show_config: Annotated[bool, Option("Print the merged file and stop.")] = False,
+    companions: Companions,
+    junit: Junit = None,
+    quiet: OnlyDirectory = False,
+) -> None:  # fmt: skip
+    """Put the network of the file STACK between robots whose programs are yours, and judge what it carried.
+
+    Each node is a robot: its programs connect to an address of ours, or we join a router of theirs. Time is the wall
+    clock. Ctrl-C ends the run, prints the verdict and the table of links, and leaves a log.
+
+    \b
+    Examples:
+      fleet netem stack.yaml
+      fleet netem stack.yaml --net '* delay 300ms 50ms loss 20%' --duration '2 min'
+      fleet inject partition 'auv1 / auv2,shore' --for 30s
+      fleet netem stack.yaml --view
+    """
+    from fleet.addons.robots.stack.run import RelayRun
+    from fleet.analysis.robot_addresses import warnings
+    from fleet.processes.children import start_forkserver
+    from fleet.scenario.loading import load_scenario
+
+    if not show_config:
+        start_forkserver()
+    scenario = load_scenario(stack, [*changes, *key_options(seed=seed, duration=duration)])
+    if not scenario.nodes:
+        raise click.UsageError(f"{stack} has no nodes: fleet run {stack} runs it with agents of its own")
+    if show_config:
+        click.echo(scenario.to_yaml(), nl=False)
+        return
+    if not quiet:
+        for text in warnings(scenario):
+            say(f"warning: {text}", err=True)
+    asked = Options(out, clock=Clock.REAL, quiet=quiet, relay=RelayRun)
+    beside = [each for each in companions if each.asked]
+    for companion in beside:
+        asked = companion.prepare(scenario, asked, "")
+    execute_and_print(scenario, asked, beside, stderr(), junit)

@@ -1,0 +1,55 @@
+"""What add-ons bring to a run: a process beside it, such as a page, or another way for its processes to meet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from fleet.cli.declare import Extension, FromAddOns
+
+if TYPE_CHECKING:
+    from fleet.execution.options import Options
+    from fleet.scenario.scenario import Scenario
+
+
+class Beside:
+    """What goes on beside one run. A companion that has nothing to do at a moment inherits it from here."""
+
+    def published(self, directory: Path) -> None:
+        """The journal of the run can be read; `directory` is the run's."""
+
+    def over(self, directory: Path) -> None:
+        """The run is over, and its directory is whole."""
+
+
+class Companion(Extension):
+    """What an add-on adds to a run: options of the command, a change of how it is run, and something beside it."""
+
+    commands: ClassVar[tuple[str, ...]] = ("run",)
+
+    def prepare(self, scenario: Scenario, how: Options, one_process: str) -> Options:
+        """How to run the scenario, if one of the options was given.
+
+        Args:
+            scenario: what is to be run.
+            how: what the user and the companions before asked for.
+            one_process: which option or key asks for a run in one process; empty: it has several.
+
+        Raises:
+            click.UsageError, FleetError: the options do not go with the run.
+        """
+        return how
+
+    @contextmanager
+    def beside(self, how: Options) -> Iterator[Beside]:
+        """What lasts as long as the run, and a little longer, if one of the options was given.
+
+        Args:
+            how: the options of the run.
+        """
+        yield Beside()
+
+
+Companions = Annotated[Sequence[Companion], FromAddOns("companions")]

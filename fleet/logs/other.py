@@ -1,0 +1,84 @@
+"""What commands take in place of a log, such as the directory of a study or the file of another tool."""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from fleet.addon import parts
+from fleet.errors import FleetError
+
+if TYPE_CHECKING:
+    from fleet.logs.recover import Recovered
+
+
+class OtherData:
+    """Something that is no log of ours, and that some commands take.
+
+    Attributes:
+        name: what it is, in errors: `a study`.
+        is_log: every command reads it as a log, by itself or after `write_mcap`.
+    """
+
+    name: ClassVar[str]
+    is_log: ClassVar[bool] = False
+
+    def recognises(self, path: Path) -> bool:
+        """Whether a file or a directory is of this kind. It looks at as little as possible."""
+        raise NotImplementedError
+
+    def write_mcap(self, path: Path, file: Path) -> None:
+        """Write it as an MCAP file, which every command then reads as a log.
+
+        Args:
+            path: what the user named.
+            file: to be written; its folder is there, and goes when the process ends.
+
+        Raises:
+            FleetError: there is no such form.
+        """
+        raise FleetError(f"{path} is {self.name}, and no log")
+
+    def export(self, path: Path, folder: Path, form: str, *, force: bool) -> Path:
+        """Write it as one table, `form`: `csv`, `parquet` or `netcdf`; returns the file. Raises FleetError."""
+        raise FleetError(f"{path} is {self.name}, which cannot be written as {form}")
+
+    def recover(self, path: Path, out: Path | None, tell: Callable[[float], None]) -> Recovered | None:
+        """Write what is left of it; None: it is recovered as a log is."""
+        return None
+
+
+def known_as(path: Path) -> OtherData | None:
+    """What knows a file or a directory that a user has named; None: no add-on does."""
+    return next((kind for each in parts("readers") if (kind := each()).recognises(path)), None)
+
+
+def other_data(path: Path) -> OtherData | None:
+    """What knows something that is no log; None: it is a log, or no add-on knows it."""
+    found = known_as(path)
+    return None if found is None or found.is_log else found
+
+
+def as_mcap(path: Path) -> Path | None:
+    """The MCAP file that an add-on makes of what the core cannot read; None: no add-on can."""
+    found = known_as(path)
+    if found is None or not found.is_log:
+        return None
+    return _converted(found, path.absolute(), path.stat().st_mtime_ns)
+
+
+_MADE: dict[tuple[Path, int], Path] = {}  # by what was named, and when that changed: commands ask more than once
+
+
+def _converted(kind: OtherData, path: Path, changed_ns: int) -> Path:
+    if (path, changed_ns) not in _MADE:
+        folder = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        file = folder / f"{path.stem}.mcap"
+        kind.write_mcap(path, file)
+        _MADE[path, changed_ns] = file
+    return _MADE[path, changed_ns]

@@ -40,7 +40,8 @@ def listings() -> list[Listing]:
 
 
 @cache
-def _document() -> type[msgspec.Struct]:
+def document() -> type[msgspec.Struct]:
+    """The struct that `--json` prints."""
     others = [(each.key, list[each.row]) for each in listings()]  # type: ignore[name-defined]
     made = msgspec.defstruct("Scenarios", [("scenarios", list[ListedScenario]), *others])
     made.__doc__ = "`fleet list --json`: the scenarios that ship with the package, and what add-ons ship."
@@ -49,11 +50,11 @@ def _document() -> type[msgspec.Struct]:
 
 def listed(scenarios: Sequence[ListedScenario], others: Mapping[str, Sequence[Any]]) -> msgspec.Struct:
     """What `--json` prints."""
-    return _document()(scenarios=scenarios, **others)
+    return document()(scenarios=scenarios, **others)
 
 
 def __getattr__(name: str) -> Any:
     # The struct of the document depends on the add-ons that there are, so it is made when it is asked for.
     if name == "Listed":
-        return _document()
+        return document()
     raise AttributeError(name)

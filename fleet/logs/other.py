@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import atexit
-import shutil
-import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from fleet.addon import parts
 from fleet.errors import FleetError
+from netem.private_folder import PrivateFolder
 
 if TYPE_CHECKING:
     from fleet.logs.recover import Recovered
@@ -54,7 +54,11 @@ class OtherData:
 
 def known_as(path: Path) -> OtherData | None:
     """What knows a file or a directory that a user has named; None: no add-on does."""
-    return next((kind for each in parts("readers") if (kind := each()).recognises(path)), None)
+    for made in (each() for each in parts("readers")):
+        with suppress(OSError):  # a name that is too long, a folder of others: the command itself tells it
+            if made.recognises(path):
+                return made  # type: ignore[no-any-return]
+    return None
 
 
 def other_data(path: Path) -> OtherData | None:
@@ -76,9 +80,9 @@ _MADE: dict[tuple[Path, int], Path] = {}  # by what was named, and when that cha
 
 def _converted(kind: OtherData, path: Path, changed_ns: int) -> Path:
     if (path, changed_ns) not in _MADE:
-        folder = Path(tempfile.mkdtemp(prefix="uuv-fleet-"))
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        file = folder / f"{path.stem}.mcap"
+        folder = PrivateFolder("log")
+        atexit.register(folder.close)
+        file = folder.path / f"{path.stem}.mcap"
         kind.write_mcap(path, file)
         _MADE[path, changed_ns] = file
     return _MADE[path, changed_ns]

@@ -21,8 +21,8 @@ from repository import ROOT
 from tool import invoke
 
 from fleet.addons.hosts import router_config
+from fleet.addons.hosts.companion import HostsOptions, rendezvous
 from fleet.addons.hosts.rendezvous import listening, listening_for_certificates, parse_endpoint, read_credentials
-from fleet.addons.hosts.verbs.hosts import HostsOptions, rendezvous
 from fleet.cli.group import command_of
 from fleet.errors import FleetError
 from fleet.execution.rendezvous import Rendezvous

@@ -27,7 +27,7 @@ from fleet.addons.pictures.report import _from_log, links_table, page
 from fleet.addons.pictures.report import write as write_report
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, labels_of, load, with_gaps
 from fleet.addons.pictures.style import panels, plain_decades
-from fleet.cli.logs import KINDS, PARTS
+from fleet.addons.pictures.verbs.choice import KINDS, PARTS
 from fleet.errors import FleetError
 from fleet.logs.dataset import columns
 from fleet.logs.export import export

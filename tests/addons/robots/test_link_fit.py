@@ -16,7 +16,7 @@ from tool import invoke
 
 from fleet.addons.robots import link_fit
 from fleet.addons.robots.link_fit import _expect, fit_losses
-from fleet.cli.logs import fit_lines
+from fleet.addons.robots.verbs.fit import fit_lines
 from fleet.errors import FleetError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
 from fleet.scenario.text.yaml_reader import Source, inline, plain, read

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from msgspec import Struct
 from repository import ROOT
 
-from fleet.addons.hosts.verbs.hosts import HostsOptions
+from fleet.addons.hosts.companion import HostsOptions
 from fleet.addons.studies.spec import BoundarySpec, StudySpec
 from fleet.addons.studies.verbs.study_options import MakingStudy, WorkerOptions
 from fleet.cli.changes import Changes
@@ -46,7 +46,7 @@ def test_every_verb_is_declared_by_its_parameters() -> None:
     assert sorted(name for name, verb in LEAVES.items() if not isinstance(verb, DeclaredCommand)) == []
     calls = [
         f"{path.name}:{node.lineno}"
-        for path in (ROOT / "fleet/cli").glob("*.py")
+        for path in [*(ROOT / "fleet/cli").glob("*.py"), *(ROOT / "fleet/addons").rglob("*.py")]
         for node in ast.walk(ast.parse(path.read_text("utf-8")))
         if isinstance(node, ast.Attribute) and ast.unparse(node) in ("click.option", "click.argument", "click.command")
     ]

@@ -20,8 +20,9 @@ from tool import commands, invoke
 
 from fleet.addons.studies.catalogue import shipped_studies
 from fleet.addons.studies.explanation.what_if import OtherCommands
+from fleet.cli import listing
 from fleet.cli.documents.failure import FailedCommand
-from fleet.cli.documents.logs import Checked, Compared, Scenarios
+from fleet.cli.documents.logs import Checked, Compared
 from fleet.cli.documents.output import print_document
 from fleet.cli.documents.page import DOCUMENTS, page, schema
 from fleet.execution.supervisor import Supervisor
@@ -114,7 +115,7 @@ def test_numbers_that_are_not_finite_and_names_that_are_no_text_are_printed(caps
 
 def test_list() -> None:
     result = invoke("list", "--json")
-    found = printed(Scenarios, result)
+    found = printed(listing.document(), result)
     assert [row.name for row in found.scenarios] == shipped_scenarios()
     assert [row.name for row in found.studies] == shipped_studies()
 

@@ -212,7 +212,7 @@ def _study(
     workers: int,
     scenario: str,
     changes: tuple[str, ...],
-    tell: Callable[[Progress], None],
+    on_progress: Callable[[Progress], None],
     pools: list[Workers] | None = None,
 ) -> Iterator[Make]:
     """Whole studies with their rows, by the same workers, which go to `pools`."""
@@ -231,6 +231,6 @@ def _study(
             studies += 1
             plan = Plan(scenario, overrides, seeds=tuple(range(1, runs + 1)))
             store, modules = prepare(plan, place / str(studies))
-            run_study(store, engine, tell, modules=modules)
+            run_study(store, engine, on_progress, modules=modules)
 
         yield make

@@ -168,7 +168,7 @@ class LinearFleet:
     members: tuple[Member, ...]
     m: int
     tick_s: float
-    tell: Callable[[], None] = lambda: None  # called now and then while something is computed
+    on_progress: Callable[[], None] = lambda: None  # called now and then while something is computed
     _known: dict[float, list[VehicleRound]] = field(default_factory=dict)  # by gain
 
     def unstable(self, gain: float, delay: int | None = None) -> int:
@@ -242,7 +242,7 @@ class LinearFleet:
         """How many modes grow; the links that count; angles of z on the unit circle; the logarithm of abs(det(I - T))
         there, by axes that do not mix.
         """
-        self.tell()
+        self.on_progress()
         kinds = self._rounds(gain)
         alone, rows = sum(kind.unstable for kind in kinds), self._rows(kinds, delay)
         if not rows:
@@ -362,11 +362,11 @@ def _slogdet(part: Complex) -> Any:
 
 
 def linear_fleet(
-    scenario: Scenario, gains: Sequence[Vec3 | None], tell: Callable[[], None] = lambda: None
+    scenario: Scenario, gains: Sequence[Vec3 | None], on_progress: Callable[[], None] = lambda: None
 ) -> LinearFleet:
     """The linear map of a scenario's fleet, without loss, jitter, noise, disturbance and faults. `gains`: K of each
-    vehicle [1/s, NED], or anything in proportion to it; None: a law that is not ours. `tell`: called now and then while
-    something is computed of it. Raises NotLinear if there is none; the message says why.
+    vehicle [1/s, NED], or anything in proportion to it; None: a law that is not ours. `on_progress`: called now and
+    then while something is computed of it. Raises NotLinear if there is none; the message says why.
     """
     if scenario.vehicles > MOST_VEHICLES:
         raise NotLinear(f"the fleet has more than {MOST_VEHICLES} vehicles")
@@ -414,7 +414,7 @@ def linear_fleet(
                 scenario.agent_config(i).reference is not None,
             )
         )  # fmt: skip
-    return LinearFleet(tuple(members), scenario.round_ticks, scenario.tick_ns / 1e9, tell)
+    return LinearFleet(tuple(members), scenario.round_ticks, scenario.tick_ns / 1e9, on_progress)
 
 
 def _delay_ticks(scenario: Scenario, link: tuple[int, int]) -> int:

@@ -167,9 +167,10 @@ class Analysis:
         return max(abs(value) for value in self.eigenvalues)
 
 
-def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None] = lambda: None) -> Analysis:
+def analyse(scenario: Scenario, *, linear: bool = True, on_progress: Callable[[], None] = lambda: None) -> Analysis:
     """Connectivity, eigenvalues and violated limits of a scenario. `linear`: also make the whole linear loop, which
-    takes longer than the rest. `tell`: called now and then, also later, when a caller asks the loop for its limits.
+    takes longer than the rest. `on_progress`: called now and then, also later, when a caller asks the loop for its
+    limits.
     """
     A, M = matrices(scenario)
     values = sorted(eigenvalues(M).tolist(), key=lambda v: (v.real, v.imag))
@@ -181,7 +182,10 @@ def analyse(scenario: Scenario, *, linear: bool = True, tell: Callable[[], None]
     not_linear = "not every vehicle is reached" if unreached else "" if linear else "not asked for"
     if not not_linear:
         try:
-            at_most, at_settled = linear_fleet(scenario, largest, tell), linear_fleet(scenario, settled, tell)
+            at_most, at_settled = (
+                linear_fleet(scenario, largest, on_progress),
+                linear_fleet(scenario, settled, on_progress),
+            )
         except NotLinear as error:
             not_linear = str(error)
     found = Analysis(

@@ -71,7 +71,7 @@ def check(
         try_laws(loaded)
         try_plants(loaded)
         with showing_steps("limits of the linear loop") as step:
-            found = analyse(loaded, tell=step)
+            found = analyse(loaded, on_progress=step)
             told = [*found.warnings, *warnings(loaded)]
             lines = [] if json_is_asked() else report(loaded, found)
     if json_is_asked():

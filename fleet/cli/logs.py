@@ -91,8 +91,8 @@ def _export_tables(
     from fleet.logs.export import export as write
     from fleet.logs.open_log import Opening
 
-    with showing(f"reading {log}") as tell:
-        found = Opening(log, topics or None, tell, exclude, hold_all=False).read()
+    with showing(f"reading {log}") as on_progress:
+        found = Opening(log, topics or None, on_progress, exclude, hold_all=False).read()
     if topics and not len(found):
         but = f" and not like {', '.join(exclude)}" if exclude else ""
         raise click.BadParameter(f"no topic of {log} is like {', '.join(topics)}{but}", param_hint="--topics")
@@ -101,8 +101,8 @@ def _export_tables(
     if left := [name for name in found if len(found[name]) and not fits(found[name])]:
         say(f"fleet: left out, being lists of messages and no tables: {', '.join(left)}", err=True)
     for form, folder in tables:
-        with showing(f"writing {folder}") as tell:
-            paths = write(found, folder, form, force=force, share=tell)
+        with showing(f"writing {folder}") as on_progress:
+            paths = write(found, folder, form, force=force, share=on_progress)
         for path in paths:
             click.echo(path)
 
@@ -110,8 +110,8 @@ def _export_tables(
 def _print_scenario(log: Path) -> None:
     from fleet.repeat.recorded_run import script
 
-    with showing(f"reading {log}") as tell:
-        made = script(log, tell)
+    with showing(f"reading {log}") as on_progress:
+        made = script(log, on_progress)
     click.echo(made.to_yaml(), nl=False)
 
 
@@ -126,6 +126,6 @@ def info(log: Log, *, quiet: NoProgress = False) -> None:
     """
     from fleet.logs.info import info_text, read_info
 
-    with showing(f"reading {log}") as tell:
-        found = read_info(log, tell)
+    with showing(f"reading {log}") as on_progress:
+        found = read_info(log, on_progress)
     print_result(found, info_text(found))

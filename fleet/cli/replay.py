@@ -50,8 +50,8 @@ def replay(
 
     if options.step and not Keyboard.possible():
         raise click.UsageError("--step needs a terminal, because a key press continues it")
-    with showing(f"reading {log}", quiet=quiet) as tell:
-        tape = SeekableLog(log_path(log), tell)
+    with showing(f"reading {log}", quiet=quiet) as on_progress:
+        tape = SeekableLog(log_path(log), on_progress)
     played = Replay(tape, options)
     with exit_status(3), ending() as sessions, StatusLine(quiet=quiet) as line:
         if tape.missing:

@@ -186,8 +186,8 @@ def _load(
     if begin is not None:
         from fleet.repeat.resume import continuation, parse_from
 
-        with showing(f"reading {begin}", quiet=quiet) as tell:
-            return continuation(*parse_from(begin), changes, scenario, tell)
+        with showing(f"reading {begin}", quiet=quiet) as on_progress:
+            return continuation(*parse_from(begin), changes, scenario, on_progress)
     if scenario is None:
         raise click.UsageError("no scenario given: name one (see fleet list), or give --from LOG")
     # A scenario that is only shown may name laws that may not run.

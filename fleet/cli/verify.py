@@ -38,8 +38,8 @@ def verify(log: Log, *, trust: Trust = False, quiet: NoProgress = False) -> None
     from fleet.repeat.verify import verification_lines
     from fleet.repeat.verify import verify as check
 
-    with showing(f"reading {log}") as reading, showing_time("verified") as tell:
-        found = check(log, tell, reading)
+    with showing(f"reading {log}") as reading, showing_time("verified") as on_progress:
+        found = check(log, on_progress, reading)
     print_result(found, *verification_lines(found))
     sys.exit(0 if found.reproduced else 1)
 
@@ -71,8 +71,8 @@ def diff(
     second = newest_log() if b is None else b
     if b is None and log_path(a).exists() and log_path(a).samefile(log_path(second)):
         raise click.UsageError("A is the newest run itself: name the log to compare it with")
-    with showing(f"comparing {a} and {second}") as tell:
-        left, right = LogReader(log_path(a), tell), LogReader(log_path(second))
+    with showing(f"comparing {a} and {second}") as on_progress:
+        left, right = LogReader(log_path(a), on_progress), LogReader(log_path(second))
         found = compare(left, right)
     status = 0 if found.first is None or (tolerance and found.within(tolerance)) else 1
     if json_is_asked():
@@ -123,8 +123,8 @@ def recover(
     from fleet.logs.recover import recover as write
     from fleet.logs.recover import recovery_text
 
-    with showing(f"recovering {log}") as tell:
+    with showing(f"recovering {log}") as on_progress:
         kind = known_as(log)
-        found = (kind and kind.recover(log, out, tell)) or write(log, out, tell)
+        found = (kind and kind.recover(log, out, on_progress)) or write(log, out, on_progress)
     say(recovery_text(found), err=found.nothing)
     sys.exit(1 if found.nothing else 3 if found.lost else 0)

@@ -186,8 +186,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
 
 def _reached(start: Start, *, quiet: bool) -> Prefix:
     at = show_time(start.tick * start.legs[-1].scenario.tick_ns)
-    with showing(f"running to t = {at} again", quiet=quiet) as tell:
-        return reach(start, tell)
+    with showing(f"running to t = {at} again", quiet=quiet) as on_progress:
+        return reach(start, on_progress)
 
 
 def _prepare(

@@ -39,24 +39,24 @@ class _Unrecorded:
         self.links.settle(fate)
 
 
-def reach(start: Start, tell: Callable[[float], None] = lambda share: None) -> Prefix:
+def reach(start: Start, on_progress: Callable[[float], None] = lambda share: None) -> Prefix:
     """Run to where another run begins.
 
     Args:
         start: the moment.
-        tell: called with the share of the way that is done.
+        on_progress: called with the share of the way that is done.
 
     Raises:
         FleetError: the way there broke, or it is not that of the log.
     """
     moment: Prefix | None = None
     for leg in start.legs:
-        moment = _gone(leg, moment, start if leg is start.legs[-1] else None, lambda k: tell(k / start.tick))
+        moment = _gone(leg, moment, start if leg is start.legs[-1] else None, lambda k: on_progress(k / start.tick))
     assert moment is not None
     return moment
 
 
-def _gone(leg: Leg, before: Prefix | None, start: Start | None, tell: Callable[[int], None]) -> Prefix:
+def _gone(leg: Leg, before: Prefix | None, start: Start | None, on_progress: Callable[[int], None]) -> Prefix:
     """Go on from a moment to the end of a leg. `start`: whose last leg it is."""
     scenario = leg.scenario
     links = LinkHistories(scenario.graph.links) if before is None else before.links
@@ -69,7 +69,7 @@ def _gone(leg: Leg, before: Prefix | None, start: Start | None, tell: Callable[[
         run.begin()
         while run.granted < leg.until:
             run.advance(min(run.granted + scenario.round_ticks, leg.until))
-            tell(run.granted)
+            on_progress(run.granted)
         run.write_up()
     except (AgentError, WorldError, RunBroken) as error:
         run.release()

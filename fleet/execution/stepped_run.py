@@ -299,14 +299,14 @@ class Run:
         """
         tick_s = self.scenario.tick_ns / 1e9
 
-        def tell() -> None:
+        def on_progress() -> None:
             if progress is not None:
                 progress(max(0, self._journal.written) * tick_s)
 
         if not self._closed:
             with self._going_on():
-                self._runner.serve(self._policy, tell)
-                tell()
+                self._runner.serve(self._policy, on_progress)
+                on_progress()
             self._finish(ended=True)
         return self.result
 

@@ -24,7 +24,7 @@ from fleet.errors import FleetError
 from fleet.logs.columns import objects
 from fleet.logs.dataset import EXTRA, TableColumn, columns, dataset, fits, frame_attributes, need
 from fleet.logs.open_log import Log
-from fleet.logs.reader import LogReader, Tell
+from fleet.logs.reader import LogReader, OnProgress
 from fleet.logs.records import Array, Block
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
@@ -113,7 +113,7 @@ _LARGE = 1 << 20  # bytes of a cell
 _HELD = 12 << 20  # bytes of messages that wait to be written
 
 
-def export(log: Log, folder: Path, form: str, *, force: bool = False, share: Tell = lambda _: None) -> list[Path]:
+def export(log: Log, folder: Path, form: str, *, force: bool = False, share: OnProgress = lambda _: None) -> list[Path]:
     """Write every topic that holds a message and fits a table into a folder, as `csv`, `parquet` or `netcdf`; returns
     the files. The log is read again, and written as it is read. A table gets its name when all are written.
 
@@ -172,7 +172,7 @@ def file_names(topics: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def _stream(path: Path, sheets: Iterable[Sheet], share: Tell) -> None:
+def _stream(path: Path, sheets: Iterable[Sheet], share: OnProgress) -> None:
     by_topic = {sheet.topic.name: sheet for sheet in sheets}
     reader = LogReader(path, share)
     held = 0

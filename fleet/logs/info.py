@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 from fleet.errors import printable
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import FaultInterval, FaultTime, intervals
-from fleet.logs.reader import LogReader, Record, Tell, log_path, log_size
+from fleet.logs.reader import LogReader, OnProgress, Record, log_path, log_size
 from fleet.scenario.sections.vehicle_events import VehicleEvents, is_fault, vehicle_events
 from netem.limits import LOG_FAULTS
 
@@ -38,10 +38,10 @@ class Info(Struct, frozen=True):
     unread: Annotated[int, Meta(description="Messages about faults that are left out above, as there are too many.")]
 
 
-def read_info(path: Path, tell: Tell = lambda _: None) -> Info:
+def read_info(path: Path, on_progress: OnProgress = lambda _: None) -> Info:
     """Read a log, whole or cut. Raises LogReadError if there is no log to read."""
     path = log_path(path)
-    reader = LogReader(path, tell)
+    reader = LogReader(path, on_progress)
     counts: Counter[str] = Counter()
     first: int | None = None
     last = 0

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
-from fleet.logs.reader import LogReader, LogReadError, Tell, digest, log_path, log_size
+from fleet.logs.reader import LogReader, LogReadError, OnProgress, digest, log_path, log_size
 from fleet.logs.records import Block, Digest
 from fleet.logs.schemas import FROM_TICK
 from fleet.logs.topic import STEP, LogKeyError, Topic
@@ -242,7 +242,7 @@ def open_log(
     start: float = 0.0,
     end: float = inf,
     every: int = 1,
-    share: Tell = lambda _: None,
+    share: OnProgress = lambda _: None,
 ) -> Log:
     """Read a log, whole or cut, as numpy arrays.
 
@@ -285,7 +285,7 @@ class Opening:
 
     path: Path  # as `log_path` takes it
     topics: Iterable[str] | None = None  # patterns of those to keep; None: all
-    share: Tell = lambda _: None  # called with the share of the file that was read
+    share: OnProgress = lambda _: None  # called with the share of the file that was read
     exclude: Sequence[str] = ()  # patterns of topics not to keep
     progress: Callable[[float], None] = lambda _: None  # called with the simulated time reached [s]
     part: Part = ALL

@@ -47,7 +47,7 @@ class OtherData:
         """Write it as one table, `form`: `csv`, `parquet` or `netcdf`; returns the file. Raises FleetError."""
         raise FleetError(f"{path} is {self.name}, which cannot be written as {form}")
 
-    def recover(self, path: Path, out: Path | None, tell: Callable[[float], None]) -> Recovered | None:
+    def recover(self, path: Path, out: Path | None, on_progress: Callable[[float], None]) -> Recovered | None:
         """Write what is left of it; None: it is recovered as a log is."""
         return None
 

@@ -29,7 +29,7 @@ _WHAT_IT_IS = (
     "a log is an MCAP file, or the directory of a run, such as runs/latest, or of a bag of ROS 2; fleet ls lists runs"
 )
 _ENTRY = 256  # estimated memory [bytes] of one entry of metadata, in addition to its text
-Tell = Callable[[float], None]  # progress callback: gets the fraction of the file that was read, 0 to 1
+OnProgress = Callable[[float], None]  # progress callback: gets the fraction of the file that was read, 0 to 1
 
 
 class LogReadError(FleetError):
@@ -57,7 +57,7 @@ class LogReader:
     """
 
     path: Path
-    tell: Tell = lambda _: None
+    on_progress: OnProgress = lambda _: None
     profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -111,15 +111,15 @@ class LogReader:
                 return
 
     def _tell(self, done: int, files: int, share: float) -> None:
-        self.tell((done + share) / files)
+        self.on_progress((done + share) / files)
 
-    def _blocks(self, path: Path, tell: Tell) -> Iterator[Block]:
+    def _blocks(self, path: Path, on_progress: OnProgress) -> Iterator[Block]:
         self.file = path
         numbers: dict[int, int] = {}
         self.numbers[path] = numbers
         schemas: dict[int, int] = {}
         with open_file(path) as file:
-            salvage = Salvage(file, tell=tell)
+            salvage = Salvage(file, on_progress=on_progress)
             for item in salvage:
                 match item:
                     case Schema():
@@ -232,11 +232,11 @@ def lost(salvage: Salvage) -> str:
     return "; ".join(places)
 
 
-def digest(path: Path, tell: Tell = lambda _: None) -> str:
+def digest(path: Path, on_progress: OnProgress = lambda _: None) -> str:
     """SHA-256 over the ordered messages (topic, times, sequence, data), in hexadecimal, as `fleet run` prints it; those
     before the first damaged place. Raises LogReadError as `LogReader` does.
     """
-    total, reader = Digest(), LogReader(path, tell)
+    total, reader = Digest(), LogReader(path, on_progress)
     for block in reader.blocks():
         total.add_block(block, reader.topics_of(block))
     return total.hexdigest()

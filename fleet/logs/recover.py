@@ -15,7 +15,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import McapWriter
-from fleet.logs.reader import GAPS, LOST, RECOVERY, Tell, log_files, log_path, lost, open_any
+from fleet.logs.reader import GAPS, LOST, RECOVERY, OnProgress, log_files, log_path, lost, open_any
 from fleet.logs.records import LIBRARY, MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage
 from netem.files import whole_file
@@ -41,7 +41,7 @@ class Recovered:
         return not self.messages
 
 
-def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) -> Recovered:
+def recover(path: Path, out: Path | None = None, on_progress: OnProgress = lambda _: None) -> Recovered:
     """Write what can be read of a log to `out`, by default `<log>.recovered.mcap` beside it; nothing if nothing can.
     Raises LogReadError if the file cannot be opened; FleetError if `out` exists or cannot be written.
     """
@@ -56,7 +56,7 @@ def recover(path: Path, out: Path | None = None, tell: Tell = lambda _: None) ->
         try:
             with whole_file(out) as part:
                 with part.open("wb") as target:
-                    found = _copy(path, out, Salvage(source, beyond=True, tell=tell), target, magic)
+                    found = _copy(path, out, Salvage(source, beyond=True, on_progress=on_progress), target, magic)
                 if found.nothing:
                     part.unlink()
         except OSError as error:

@@ -47,7 +47,7 @@ _WINDOW = 1 << 20
 _LOOSE = 1 << 20  # bytes of messages outside chunks that make one block
 _TOO_LATE_NS = 1 << 63  # no time: those who read it as a signed number would find it before the year 1970
 _LATER_NS = 60 * 10**9  # after the end of a run; a later time in its log is a mistake
-_TELL = 1 << 20  # bytes of the file between two calls of `tell`
+_TELL = 1 << 20  # bytes of the file between two calls of `on_progress`
 _IN_DATA = frozenset({
     Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX,
     Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
@@ -91,7 +91,9 @@ class Salvage:
     file: IO[bytes]
     beyond: bool = False
     at: int = len(MAGIC)  # where the record at hand begins [byte]
-    tell: Callable[[float], None] = lambda _: None  # called now and then with the share of the file that was read
+    on_progress: Callable[[float], None] = lambda _: (
+        None
+    )  # called now and then with the share of the file that was read
     ended: bool = False  # the data section is there to its end
     indexed: bool = False  # and so is the summary behind it, undamaged
     cut: bool = False  # the file stops in the middle of a record or before its end was written
@@ -138,7 +140,7 @@ class Salvage:
                 opcode, body, behind = self._record(self.at, size)
                 if self.at - self._told >= _TELL or self._told == 0:
                     self._told = self.at
-                    self.tell(self.at / size)
+                    self.on_progress(self.at / size)
                 if opcode == Opcode.MESSAGE and not (self._ours and self._chunked):
                     if self._gather(body, behind):
                         yield from self._gathered()

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from mcap.records import Channel
 
-from fleet.logs.reader import LogReader, LogReadError, Tell, open_file
+from fleet.logs.reader import LogReader, LogReadError, OnProgress, open_file
 from fleet.logs.records import Array, Block, renumbered, together
 from fleet.logs.salvage import Salvage
 
@@ -51,12 +51,12 @@ class _Piece(NamedTuple):
 class SeekableLog:
     """The messages of a log in the order of their log times; those of the same time in the order of the file."""
 
-    def __init__(self, path: Path, tell: Tell = lambda _: None) -> None:
+    def __init__(self, path: Path, on_progress: OnProgress = lambda _: None) -> None:
         """Read it through. Raises LogReadError if the file cannot be opened, is no MCAP file, or has no complete
         message.
         """
         self.path = path
-        reader = LogReader(path, tell)
+        reader = LogReader(path, on_progress)
         self._pieces: list[_Piece] = []
         self._order: Array | None = None  # numbers in the order of the file; None: that is in the order of time
         self.firsts = array("Q")  # number of the first message of each stretch of the tape
@@ -92,7 +92,7 @@ class SeekableLog:
             raise LogReadError(f"{path} holds no message{f': {self.missing}' if self.missing else ''}")
         self._total, self.end_ns = total, latest
         if not rising:
-            self._sort(tell)
+            self._sort(on_progress)
 
     def _enter(self, first: int, due: int, channel: Array) -> None:
         self.firsts.append(first)
@@ -100,9 +100,9 @@ class SeekableLog:
         kinds, counts = np.unique(channel, return_counts=True)
         self.counts.append((kinds, counts.astype(np.uint32)))
 
-    def _sort(self, tell: Tell) -> None:
+    def _sort(self, on_progress: OnProgress) -> None:
         """Divide the tape into stretches of messages in the order of time, wherever in the file they are."""
-        some = [(one.log_ns, one.channel, one.end - one.begin) for one in LogReader(self.path, tell).blocks()]
+        some = [(one.log_ns, one.channel, one.end - one.begin) for one in LogReader(self.path, on_progress).blocks()]
         log_ns, channel, size = (np.concatenate(column) for column in zip(*some, strict=True))
         if len(log_ns) != self._total:
             raise self._changed()

@@ -10,7 +10,7 @@ from typing import Any
 
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
-from fleet.logs.reader import LogReader, Record, Tell, log_path
+from fleet.logs.reader import LogReader, OnProgress, Record, log_path
 from fleet.logs.schemas import CLOCK, FAULT, FROM
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
@@ -62,10 +62,10 @@ class Recorded:
         return rerun(self.path, self.text, self.events, self.last_ns, overrides, policy)
 
 
-def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
+def recorded(path: Path, on_progress: OnProgress = lambda _: None) -> Recorded:
     """Read a log. Raises LogReadError if there is no log to read; FleetError if it holds no scenario of ours."""
     path = log_path(path)
-    reader = LogReader(path, tell)
+    reader = LogReader(path, on_progress)
     happened: list[Record] = []
     held = 0
     for record in reader.of(["faults"]):
@@ -83,11 +83,11 @@ def recorded(path: Path, tell: Tell = lambda _: None) -> Recorded:
     return Recorded(path, reader, attached, ours, reader.last_ns)
 
 
-def script(path: Path, tell: Tell = lambda _: None) -> Scenario:
+def script(path: Path, on_progress: OnProgress = lambda _: None) -> Scenario:
     """The scenario of a log, its faults taken from what happened. Raises LogReadError if there is no log to read;
     FleetError if it holds no scenario of ours.
     """
-    return recorded(path, tell).script()
+    return recorded(path, on_progress).script()
 
 
 def _attached(path: Path, reader: LogReader) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.logs.reader import Tell, digest
+from fleet.logs.reader import OnProgress, digest
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.start import Leg, Start, set_up_otherwise
 from fleet.repeat.recorded_run import Recorded
@@ -41,7 +41,7 @@ def continuation(
     at_ns: int | None,
     overrides: Sequence[str | Override] = (),
     name: str | None = None,
-    tell: Tell = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> tuple[Scenario, Start]:
     """The scenario that goes on, and where.
 
@@ -50,13 +50,13 @@ def continuation(
         at_ns: the moment; None: the end of the log.
         overrides: changes, as for `fleet run --set`.
         name: of another scenario than the log's own.
-        tell: called with the share of the log that was read, twice from its beginning.
+        on_progress: called with the share of the log that was read, twice from its beginning.
 
     Raises:
         FleetError: there is no log of ours, or it has no such moment, or the changes are too great to go on from it.
         ScenarioError: the scenario is wrong, or that of the log does not run here.
     """
-    source = read(path, tell)
+    source = read(path, on_progress)
     source.insist_on_lockstep("nothing can go on from there")
     if external := source.script().external:
         vehicles = ", ".join(map(str, external))
@@ -75,7 +75,7 @@ def continuation(
     legs = (*(() if before is None else before.legs), Leg(recorded, tick))
     if anew := [i for i in range(1, scenario.vehicles + 1) if set_up_otherwise(scenario, recorded, i)]:
         notes.append(f"set up otherwise: agents {', '.join(map(str, anew))} begin without memory")
-    named = f"{source.path}, digest {digest(source.path, tell)}"
+    named = f"{source.path}, digest {digest(source.path, on_progress)}"
     return scenario, Start(legs, named, tuple(notes), lambda: Proof(source, recorded, before))
 
 

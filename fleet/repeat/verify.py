@@ -223,11 +223,15 @@ class Verification(Struct):
     unknown: Annotated[str, Meta(description="Why nothing more could be compared; empty: everything was.")] = ""
 
 
-Tell = Callable[[float, float], None]  # sim time that is verified, and up to which there is something to verify [s]
+OnProgress = Callable[
+    [float, float], None
+]  # sim time that is verified, and up to which there is something to verify [s]
 
 
 def verify(
-    path: Path, tell: Tell = lambda at_s, end_s: None, reading: Callable[[float], None] = lambda share: None
+    path: Path,
+    on_progress: OnProgress = lambda at_s, end_s: None,
+    reading: Callable[[float], None] = lambda share: None,
 ) -> Verification:
     """Run a log again and compare. Raises LogReadError if there is no log to read; FleetError if it holds no scenario
     of ours, or no message; ScenarioError if its scenario does not run here: another version wrote it, or a law is not
@@ -242,7 +246,7 @@ def verify(
     verification = Verification(path, last_ns / 1e9, scenario.ticks * scenario.tick_ns / 1e9, missing=reader.missing)
     verification.external = scenario.external
     _compare_metadata(verification, reader.metadata.get("run", {}), run_metadata(scenario, start))
-    comparison = _Comparison(verification, scenario, reader, last_ns, tell)
+    comparison = _Comparison(verification, scenario, reader, last_ns, on_progress)
     _run_again(comparison, verification, scenario, last_ns, start)
     verification.machine = _machines(path)
     verification.reproduced = verification.difference is None and not verification.contradictions
@@ -329,9 +333,9 @@ class _Comparison:
     """A sink of the log writer that compares each message with the recorded one, and writes nothing."""
 
     def __init__(
-        self, verification: Verification, scenario: Scenario, reader: LogReader, last_ns: int, tell: Tell
+        self, verification: Verification, scenario: Scenario, reader: LogReader, last_ns: int, on_progress: OnProgress
     ) -> None:
-        self._verification, self._tell = verification, tell
+        self._verification, self._on_progress = verification, on_progress
         self._tick_ns, self._last_ns = scenario.tick_ns, last_ns
         self._first = reader
         self._complete = not reader.missing and last_ns == scenario.ticks * scenario.tick_ns
@@ -376,7 +380,7 @@ class _Comparison:
     def way(self, start: Start) -> Callable[[float], None]:
         """Tells how far it is to where the log begins."""
         begin_s, end_s = start.tick * self._tick_ns / 1e9, self._last_ns / 1e9
-        return lambda share: self._tell(share * begin_s, end_s)
+        return lambda share: self._on_progress(share * begin_s, end_s)
 
     def _next(self) -> Record | None:
         """The next recorded message, without the snapshots of older versions."""
@@ -394,7 +398,7 @@ class _Comparison:
     def flush(self, at_ns: int) -> None:
         if at_ns > self._reported_ns:
             self._reported_ns = at_ns
-            self._tell(at_ns / 1e9, self._last_ns / 1e9)
+            self._on_progress(at_ns / 1e9, self._last_ns / 1e9)
 
     def finish(self) -> None:
         """The run has ended: a recorded message that did not come again is a difference."""

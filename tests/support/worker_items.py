@@ -93,8 +93,8 @@ def step_apart(number: int) -> int:
 def hang_apart() -> None:
     """Has a copy of this process write its number to standard output, and wait for ever."""
 
-    def tell() -> None:
+    def on_progress() -> None:
         os.write(1, f"{os.getpid()}\n".encode())
         hang()
 
-    apart(tell)
+    apart(on_progress)

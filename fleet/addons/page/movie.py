@@ -64,7 +64,7 @@ FORMATS = (".gif", ".mp4")
 def write(
     log: Path,
     out: Path,
-    tell: Callable[[float], None],
+    on_progress: Callable[[float], None],
     *,
     view: str = "above",
     window: tuple[float, float | None] = (0.0, None),
@@ -76,7 +76,7 @@ def write(
 
     Args:
         out: the file, `.gif`, or `.mp4` if ffmpeg is there. An existing file is replaced.
-        tell: called with the share of the work that is done.
+        on_progress: called with the share of the work that is done.
         view: `above` or `3d`.
         window: from when to when [s of simulated time]; None: the end of the log.
         speed: simulated seconds per second of the movie; None: so that it lasts LASTS_S, or 1 for what is shorter.
@@ -110,7 +110,9 @@ def write(
         with whole_file(out) as part:
             part.open("a").close()  # before the pictures, which take a while
             writer.setup(scene.figure, part, dpi=width / WIDTH_IN)
-            _grab(writer, _drawn(feed, scene, begin_s, end_s, speed, fps, count), lambda k: tell((k + 1) / count))
+            _grab(
+                writer, _drawn(feed, scene, begin_s, end_s, speed, fps, count), lambda k: on_progress((k + 1) / count)
+            )
     except CalledProcessError as error:
         said = str(error.stderr).strip().splitlines() or [f"exit status {error.returncode}"]
         raise FleetError(f"ffmpeg could not write {out}: {said[-1]}") from None
@@ -119,12 +121,12 @@ def write(
     return feed.missing or ""
 
 
-def _grab(writer: GifWriter | FFMpegWriter, drawn: Iterator[int], tell: Callable[[int], None]) -> None:
+def _grab(writer: GifWriter | FFMpegWriter, drawn: Iterator[int], on_progress: Callable[[int], None]) -> None:
     """Take each picture when it is drawn, and end the file. Raises CalledProcessError: ffmpeg failed."""
     try:
         for k in drawn:
             writer.grab_frame()
-            tell(k)
+            on_progress(k)
     except BrokenPipeError:
         pass  # ffmpeg has ended, and says below why
     except BaseException:

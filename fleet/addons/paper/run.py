@@ -255,11 +255,11 @@ CHECK_S = 3  # simulated time of the distributed run that is compared with the i
 
 _shared: Any = None  # in a worker: simulated seconds of each case
 
-Tell = Callable[[str, float], None]  # (what is going on, share of everything that is done)
+OnProgress = Callable[[str, float], None]  # (what is going on, share of everything that is done)
 
 
 def reproduce(
-    folder: Path, jobs: int, names: Sequence[str], formats: tuple[str, ...], tell: Tell
+    folder: Path, jobs: int, names: Sequence[str], formats: tuple[str, ...], on_progress: OnProgress
 ) -> tuple[Path, list[Claim], dict[str, Outcome]]:
     """Run cases and write the report into `folder`. Raises FleetError: the folder cannot be written, or a worker
     died."""
@@ -267,13 +267,13 @@ def reproduce(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FleetError(f"cannot make {folder}: {error.strerror}") from None
-    network = _network_check(tell) if any(CASES[name].group == "network" for name in names) else ""
+    network = _network_check(on_progress) if any(CASES[name].group == "network" for name in names) else ""
     times = multiprocessing.get_context("spawn").Array("d", len(names))
     try:
         with Workers(jobs, partial(_share, times)) as workers:
-            outcomes = _run_all(workers, names, times, tell)
+            outcomes = _run_all(workers, names, times, on_progress)
             figures = [name for name in FIGURES if _possible(name, outcomes)]
-            drawn = _draw_all(workers, figures, outcomes, folder, formats, tell)
+            drawn = _draw_all(workers, figures, outcomes, folder, formats, on_progress)
     except WorkerDied:
         raise FleetError(f"a worker process died {TIMES} times; is there enough memory?") from None
     claims = judge(outcomes)
@@ -297,13 +297,13 @@ def _case(numbered: tuple[int, str]) -> Outcome:
     return run_case(name, progress)
 
 
-def _run_all(workers: Workers, names: Sequence[str], times: Any, tell: Tell) -> dict[str, Outcome]:
+def _run_all(workers: Workers, names: Sequence[str], times: Any, on_progress: OnProgress) -> dict[str, Outcome]:
     lengths = [CASES[name].scenario().duration_ns / 1e9 for name in names]
     found: dict[str, Outcome] = {}
 
     def wait() -> None:
         simulated = sum(min(t, length) for t, length in zip(times, lengths, strict=True))
-        tell(f"{len(found)} of {len(names)} runs, {simulated:.0f} of {sum(lengths):.0f} s simulated",
+        on_progress(f"{len(found)} of {len(names)} runs, {simulated:.0f} of {sum(lengths):.0f} s simulated",
              0.85 * simulated / sum(lengths))  # fmt: skip
 
     for (index, name), future in workers.each(_case, enumerate(names), wait):
@@ -332,7 +332,7 @@ def _draw_all(
     outcomes: dict[str, Outcome],
     folder: Path,
     formats: tuple[str, ...],
-    tell: Tell,
+    on_progress: OnProgress,
 ) -> list[str]:
     drawn: dict[str, bool] = {}
     items = ((name, _pictured(name, outcomes)) for name in figures)
@@ -341,7 +341,7 @@ def _draw_all(
             drawn[name] = future.result()
         except OSError as error:
             raise FleetError(f"cannot write {name} into {folder}: {error.strerror}") from None
-        tell(f"{len(drawn)} of {len(figures)} pictures", 0.85 + 0.15 * len(drawn) / len(figures))
+        on_progress(f"{len(drawn)} of {len(figures)} pictures", 0.85 + 0.15 * len(drawn) / len(figures))
     return [name for name in figures if drawn[name]]
 
 
@@ -355,14 +355,14 @@ def _go_on(result: Result) -> None:
         raise KeyboardInterrupt
 
 
-def _network_check(tell: Tell) -> str:
+def _network_check(on_progress: OnProgress) -> str:
     """A few seconds of the network case as real processes over zenoh, against the same in this process."""
     from fleet.execution.execute import execute
     from fleet.execution.options import Options
     from fleet.result.result import Status
     from fleet.scenario.loading import load_scenario
 
-    tell("a distributed run, to compare with the in-process one", 0.0)
+    on_progress("a distributed run, to compare with the in-process one", 0.0)
     case = CASES[f"NBOC-network-{U}"]
     scenario = load_scenario("ideal", ["checks={}", *case.overrides, f"duration={CHECK_S} s"])
     with PrivateFolder() as place:

@@ -49,8 +49,8 @@ def reproduce(
             raise click.BadParameter(f"no run begins with {case!r}; there are {', '.join(CASES)}", param_hint="--case")
     from fleet.addons.paper.run import reproduce as run_all
 
-    with exit_status(3), showing_jobs() as tell:
-        path, claims, _ = run_all(out, jobs or processors(), names, formats, tell)
+    with exit_status(3), showing_jobs() as on_progress:
+        path, claims, _ = run_all(out, jobs or processors(), names, formats, on_progress)
     table = Table(box=None, pad_edge=False)
     for heading in ("verdict", "claim", "under which reading"):
         table.add_column(heading)

@@ -51,7 +51,7 @@ from fleet.addons.pictures.thresholds import draw_thresholds, thresholds
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log
 from fleet.logs.payload_kinds import DAMAGED, count_kinds
-from fleet.logs.reader import Tell, log_path
+from fleet.logs.reader import OnProgress, log_path
 from fleet.logs.records import Array
 from fleet.logs.schemas import CLOCK
 from fleet.logs.topic import TooLargeError
@@ -487,7 +487,7 @@ def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:
 
 
 def draw(
-    what: Sequence[str], runs: Sequence[Run], view: View, share: Tell = lambda _: None
+    what: Sequence[str], runs: Sequence[Run], view: View, share: OnProgress = lambda _: None
 ) -> Iterator[tuple[str, str, Figure | str]]:
     """(file name, what it shows, the figure or why there is none) of everything that is asked for. `share`: called
     before each with the share that is done.
@@ -497,7 +497,7 @@ def draw(
 
 
 def _each(
-    what: Sequence[str], runs: Sequence[Run], view: View, share: Tell
+    what: Sequence[str], runs: Sequence[Run], view: View, share: OnProgress
 ) -> Iterator[tuple[str, str, Sequence[Run], Figure | str]]:
     asked_for_all = {*what, *PER_RUN} >= set(WHAT)  # a report of several runs has those of one run elsewhere
     begun: set[str] = set()
@@ -541,7 +541,7 @@ def write(
     folder: Path,
     formats: Sequence[str],
     tell: Callable[[str], None],
-    share: Tell = lambda _: None,
+    share: OnProgress = lambda _: None,
 ) -> list[Path]:
     """Draw into a folder, which is made if need be; returns the files. `tell` gets a sentence about each picture that
     could not be drawn. Raises FleetError if the folder cannot be written.

@@ -32,7 +32,7 @@ from fleet.addons.pictures.page import (
 )
 from fleet.addons.pictures.runs import Run, View, first_words
 from fleet.logs.payload_kinds import KindCount, count_kinds
-from fleet.logs.reader import Tell
+from fleet.logs.reader import OnProgress
 from fleet.logs.topic_names import begun_at, link_topic, run_name
 from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
@@ -319,14 +319,14 @@ class RunResult:
     digest: str
 
 
-def write(path: Path, runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> None:
+def write(path: Path, runs: Sequence[Run], view: View, share: OnProgress = lambda _: None) -> None:
     """Write the page; `share` is called with the share of the pictures that is done. Raises FleetError if the place
     cannot be written; LogReadError if a log has gone meanwhile.
     """
     write_page(path, lambda: page(runs, view, share))
 
 
-def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
+def page(runs: Sequence[Run], view: View, share: OnProgress = lambda _: None) -> str:
     results = [_result(run) for run in runs]
     names = [run_name(run.log.path) for run in runs]
     blocks: list[Block] = []
@@ -347,7 +347,9 @@ def page(runs: Sequence[Run], view: View, share: Tell = lambda _: None) -> str:
     return render("uuv-fleet: " + ", ".join(names), blocks, "; positions are north, east, down")
 
 
-def _section(number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: Tell) -> list[Block]:
+def _section(
+    number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: OnProgress
+) -> list[Block]:
     log, scenario, result = run.log, run.scenario, found.result
     name, path = run_name(log.path), from_here(log.path)
     first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
@@ -500,7 +502,7 @@ def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
 
 
 def _pictures(
-    kinds: Sequence[str], runs: Sequence[Run], view: View, share: Tell, first: Sequence[str] = ()
+    kinds: Sequence[str], runs: Sequence[Run], view: View, share: OnProgress, first: Sequence[str] = ()
 ) -> tuple[PageImage | None, SectionImages]:
     top, pictures = images(draw(kinds, runs, view, share), first)
     pictures.missing.extend(note for run in runs for note in run.notes)

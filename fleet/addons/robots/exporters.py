@@ -55,12 +55,12 @@ class Traces(Exporter):
         def tell_user(text: str) -> None:
             say(f"fleet: {text}", err=True)
 
-        with showing(f"reading {log}") as tell:
-            found = open_log(log, ["link/*"], share=tell)
+        with showing(f"reading {log}") as on_progress:
+            found = open_log(log, ["link/*"], share=on_progress)
         chosen = FieldSelection(*selection, self.options.sequence, self.options.period)
         if not found.run:
-            with showing(f"reading {log}") as tell:
-                return write_field_traces(log, self.folder, chosen, force=force, say=tell_user, tell=tell)
+            with showing(f"reading {log}") as on_progress:
+                return write_field_traces(log, self.folder, chosen, force=force, say=tell_user, on_progress=on_progress)
         if any(chosen):
             raise click.UsageError(f"{log} is the log of a run: its traces are those of all links, and take no options")
         if found.missing:
@@ -92,8 +92,8 @@ class BagOfRos(Exporter):
         from fleet.addons.robots.ros2.bag import write_bag
         from fleet.logs.reader import log_path
 
-        with showing(f"writing {self.folder}") as tell:
-            paths, missing = write_bag(log_path(log), self.options.ros2, tell)
+        with showing(f"writing {self.folder}") as on_progress:
+            paths, missing = write_bag(log_path(log), self.options.ros2, on_progress)
         if missing:
             say(f"fleet: {log}: {missing}", err=True)
         return paths

@@ -22,7 +22,7 @@ import numpy as np
 from fleet.addons.robots.ros2 import rmw
 from fleet.errors import FleetError
 from fleet.logs.export import file_names, write_files
-from fleet.logs.reader import LogReader, Tell, log_path
+from fleet.logs.reader import LogReader, OnProgress, log_path
 from fleet.replay.capture import ATTACHMENT, DELETE, KIND, PROFILE
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable
 from netem.limits import TRACE
@@ -53,7 +53,13 @@ class FieldSelection(NamedTuple):
 
 
 def write_field_traces(
-    log: Path, folder: Path, selection: FieldSelection, *, force: bool = False, say: Callable[[str], None], tell: Tell
+    log: Path,
+    folder: Path,
+    selection: FieldSelection,
+    *,
+    force: bool = False,
+    say: Callable[[str], None],
+    on_progress: OnProgress,
 ) -> list[Path]:
     """Write a trace for each key of a recording, and for each publisher if they count on their own.
 
@@ -63,7 +69,7 @@ def write_field_traces(
         selection: which keys, and where the numbers of messages are.
         force: replace files that are there.
         say: hears one line per trace, and what a trace does not hold.
-        tell: progress.
+        on_progress: progress.
 
     Returns:
         The files.
@@ -72,7 +78,7 @@ def write_field_traces(
         FleetError: no key tells what was lost, a file is in the way, or the place cannot be written.
         LogReadError: the file is no log.
     """
-    found = _arrivals(log_path(log), selection, say, tell)
+    found = _arrivals(log_path(log), selection, say, on_progress)
     if not found:
         raise FleetError(f"{log} has no message on such a key; fleet info lists the keys")
     zero_ns = min(arrival.sent_ns for arrivals in found.values() for arrival in arrivals)
@@ -182,10 +188,10 @@ def _numbers(arrivals: list[RecordedMessage], period_ns: int | None) -> list[int
 
 
 def _arrivals(
-    path: Path, selection: FieldSelection, say: Callable[[str], None], tell: Tell
+    path: Path, selection: FieldSelection, say: Callable[[str], None], on_progress: OnProgress
 ) -> dict[str, list[RecordedMessage]]:
     """The messages of each key in the order of arrival; of each publisher, if several have numbers on one key."""
-    reader = LogReader(path, tell)
+    reader = LogReader(path, on_progress)
     found: dict[tuple[str, bytes], list[RecordedMessage]] = {}
     beside: dict[str, tuple[int, bytes]] = {}  # the last attachment of each key, with the number of its message
     for block in reader.blocks():

@@ -22,8 +22,8 @@ class DamagedBag(OtherData):
         """Whether it is the directory of a bag."""
         return (path / f"{path.resolve().name}.mcap").is_file()
 
-    def recover(self, path: Path, out: Path | None, tell: Callable[[float], None]) -> Recovered:
+    def recover(self, path: Path, out: Path | None, on_progress: Callable[[float], None]) -> Recovered:
         """Write what is left. Raises LogReadError: it cannot be opened; FleetError: `out` cannot be written."""
         from fleet.addons.robots.ros2.bag import repair
 
-        return repair(path, out, tell)
+        return repair(path, out, on_progress)

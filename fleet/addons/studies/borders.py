@@ -213,7 +213,7 @@ Rows = dict[tuple[int, int], Row]  # by point and seed
 Run = tuple[int, bool]  # number of the value along the axis, and whether it passed
 
 
-class Tell(Protocol):
+class OnProgress(Protocol):
     def __call__(self, progress: Progress, *, known: int, of: int) -> None:
         """`known` borders of `of` are found."""
 
@@ -372,13 +372,15 @@ class Borders:
 
 
 def find_borders(
-    borders: Borders, engine: Engine, tell: Tell, *, modules: Modules = NO_MODULES, timeout_s: float = inf
+    borders: Borders, engine: Engine, on_progress: OnProgress, *, modules: Modules = NO_MODULES, timeout_s: float = inf
 ) -> None:
     """Make the missing runs until every border is known well enough, or has used its seeds. Raises StudyError: rows
     cannot be written, and earlier ones stay; KeyboardInterrupt: at any time, and rows that were made are written."""
     store = borders.store
     walks = [_Walk(borders, number) for number in range(borders.count)]
-    work = Work(store, engine, lambda now: tell(now, known=sum(walk.ended for walk in walks), of=len(walks)), inf)
+    work = Work(
+        store, engine, lambda now: on_progress(now, known=sum(walk.ended for walk in walks), of=len(walks)), inf
+    )
     with store.locked():
         carried = engine.carry(modules)
         like = Task("", 0, 0, store.record.scenario, "", timeout_s, carried)

@@ -189,7 +189,7 @@ class Regression:
         self.modules = modules_of(self._scenarios, folder.path)
 
     def run(
-        self, engine: Engine, tell: Callable[[int], None], modules: Modules, timeout_s: float = inf
+        self, engine: Engine, on_progress: Callable[[int], None], modules: Modules, timeout_s: float = inf
     ) -> list[RegressionResult]:
         """Run them all; returns what came out, in the order of the folder."""
         rows: dict[int, Row] = {}
@@ -202,9 +202,9 @@ class Regression:
 
         def take(made: list[Row]) -> None:
             rows.update({row.point: row for row in made})
-            tell(len(rows))
+            on_progress(len(rows))
 
-        engine.make(tasks(), take, lambda: tell(len(rows)))
+        engine.make(tasks(), take, lambda: on_progress(len(rows)))
         return [_compared(failure, rows[number]) for number, failure in enumerate(self.failures)]
 
     def accept(self, found: list[RegressionResult]) -> list[RegressionResult]:
@@ -251,19 +251,19 @@ def make_least(
     folder: FailureFolder,
     scenario: Scenario,
     engine: Engine,
-    tell: Callable[[str, int], None],
+    on_progress: Callable[[str, int], None],
     modules: Modules,
     most_runs: int,
 ) -> list[FoundFailure]:
-    """Make the failures in a folder as small as possible, unless that is done already. `tell`: called now and then with
-    the present step, in words, and the number of runs made. Returns the failures that were made smaller. Raises
-    StudyError: a failure cannot be read or written."""
+    """Make the failures in a folder as small as possible, unless that is done already. `on_progress`: called now and
+    then with the present step, in words, and the number of runs made. Returns the failures that were made smaller.
+    Raises StudyError: a failure cannot be read or written."""
     done = []
     for failure in folder.of(scenario):
         if failure.least or failure.expected != "fail":
             continue
         first = folder.load(failure, imports=False)  # workers import its laws, as they did when it was found
-        found = Shrinker(first, engine, tell, modules).shrink(failure.check, most_runs)
+        found = Shrinker(first, engine, on_progress, modules).shrink(failure.check, most_runs)
         least = FoundFailure(file=failure.file, check=failure.check, seed=found.scenario.seed, digest=found.digest,
                         found=found.found[1], from_seed=failure.from_seed, least=True,
                         version=version("uuv-fleet"))  # fmt: skip

@@ -81,15 +81,15 @@ class RareEvent:
         self._text = scenario.to_undrawn_yaml()
 
     def run(
-        self, engine: Engine, tell: Callable[[str, int], None], repeats: int, file: Path, budget_s: float = inf
+        self, engine: Engine, on_progress: Callable[[str, int], None], repeats: int, file: Path, budget_s: float = inf
     ) -> RareFound:
-        """Make repeats up to a number. Repeats that the file has are not made again. `tell`: called now and then with
-        what is done and how many parts of runs were made. `file`: is written after each repeat. `budget_s`: of wall
-        time, after which no repeat is begun. Raises StudyError: a run failed, splitting cannot help, or the file cannot
-        be used."""
+        """Make repeats up to a number. Repeats that the file has are not made again. `on_progress`: called now and then
+        with what is done and how many parts of runs were made. `file`: is written after each repeat. `budget_s`: of
+        wall time, after which no repeat is begun. Raises StudyError: a run failed, splitting cannot help, or the file
+        cannot be used."""
         known, until, seed = self._read(file), time.monotonic() + budget_s, self._scenario.seed
         if not known.levels:
-            made = self._make(engine, tell, "pilot", seed)
+            made = self._make(engine, on_progress, "pilot", seed)
             known.levels, known.pilot_ticks, spread = self._splitting.levels(made, seed)
             if not spread:
                 raise StudyError(_NOTHING.format(check=self._check))
@@ -98,14 +98,14 @@ class RareEvent:
             if time.monotonic() > until:
                 break
             own = seed + 1 + number
-            made = self._make(engine, tell, f"repeat {number + 1} of {repeats}", own)
+            made = self._make(engine, on_progress, f"repeat {number + 1} of {repeats}", own)
             known.repeats.append(self._splitting.repeat(made, known.levels, own))
             _write(file, known)
         if not known.repeats:
             raise StudyError("no repeat was made, so nothing is known: raise --budget")
         return self._found(known)
 
-    def _make(self, engine: Engine, tell: Callable[[str, int], None], doing: str, seed: int) -> Make:
+    def _make(self, engine: Engine, on_progress: Callable[[str, int], None], doing: str, seed: int) -> Make:
         count = 0
 
         def make(asks: Sequence[Ask]) -> list[PartRow]:
@@ -119,9 +119,9 @@ class RareEvent:
                         raise StudyError(f"a run does not come to its end: {row.reason}")
                     parts = (future.part for future in row.futures)
                     found.update((place, part) for place, part in zip(tasks[row.key][1], parts, strict=True) if part)
-                tell(doing, count + len(found))
+                on_progress(doing, count + len(found))
 
-            engine.make((task for task, _ in tasks.values()), take, lambda: tell(doing, count + len(found)))
+            engine.make((task for task, _ in tasks.values()), take, lambda: on_progress(doing, count + len(found)))
             count += len(found)
             return [found[place] for place in range(len(asks))]
 

@@ -51,8 +51,8 @@ def plot_study(
     from fleet.addons.studies.pictures.gallery import write
 
     said: list[str] = []
-    with showing("drawing") as tell:
-        paths = write(store, measures, out or directory / "plots", formats, log_scale, said.append, tell)
+    with showing("drawing") as on_progress:
+        paths = write(store, measures, out or directory / "plots", formats, log_scale, said.append, on_progress)
     for note in said:
         say(f"fleet: {note}", err=True)
     return paths
@@ -67,8 +67,8 @@ def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale:
     store = _open(directory)
     from fleet.addons.studies.pictures.report import write
 
-    with showing("drawing and adding up") as tell:
-        write(out, store, measures, log_scale, tell)
+    with showing("drawing and adding up") as on_progress:
+        write(out, store, measures, log_scale, on_progress)
 
 
 def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Path:

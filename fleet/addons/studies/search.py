@@ -84,7 +84,7 @@ def nemesis_of(scenario: Scenario, mode: Literal["swarm", "episodes", "liveness"
 def search(
     scenario: Scenario,
     engine: Engine,
-    tell: Callable[[int], None],
+    on_progress: Callable[[int], None],
     *,
     check: str | None = None,
     most_runs: float = inf,
@@ -92,11 +92,11 @@ def search(
     modules: Modules = NO_MODULES,
     keep: FailureFolder | None = None,
 ) -> SearchResult:
-    """Run a scenario with its own seed, the next one and so on, until a check fails. `tell`: called with the number of
-    runs so far. `check`: only this one ends it; None: any that the scenario states. `budget_s`: after this wall time no
-    run begins. `keep`: keeps the first scenario of each kind of failure; then the search goes on after a failure, and
-    runs of before count. Raises StudyError: the scenario has no nemesis, or not this check; or the folder cannot be
-    used."""
+    """Run a scenario with its own seed, the next one and so on, until a check fails. `on_progress`: called with the
+    number of runs so far. `check`: only this one ends it; None: any that the scenario states. `budget_s`: after this
+    wall time no run begins. `keep`: keeps the first scenario of each kind of failure; then the search goes on after a
+    failure, and runs of before count. Raises StudyError: the scenario has no nemesis, or not this check; or the folder
+    cannot be used."""
     refuse(scenario, "a run of a study")
     if scenario.undrawn.nemesis is None:
         raise StudyError(f"{scenario.name} has no random faults, so all seeds have the same: --nemesis adds some")
@@ -115,12 +115,12 @@ def search(
     def take(rows: list[Row]) -> None:
         for row in rows:
             work.take(row)
-        tell(work.made)
+        on_progress(work.made)
 
     try:
-        engine.make(tasks(), take, lambda: tell(work.made))
+        engine.make(tasks(), take, lambda: on_progress(work.made))
         while work.doubt is not None:
-            engine.make(tasks(), take, lambda: tell(work.made))
+            engine.make(tasks(), take, lambda: on_progress(work.made))
     finally:
         work.save()
     return work.end()

@@ -54,11 +54,11 @@ class Shrunk(NamedTuple):
 
 class Shrinker:
     def __init__(
-        self, scenario: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules = NO_MODULES
+        self, scenario: Scenario, engine: Engine, on_progress: Callable[[str, int], None], modules: Modules = NO_MODULES
     ) -> None:
-        """Prepare it. `scenario`: its run fails a check. `tell`: called now and then with the present step, in words,
-        and the number of runs made."""
-        self._name, self._engine, self._tell, self._modules = scenario.name, engine, tell, modules
+        """Prepare it. `scenario`: its run fails a check. `on_progress`: called now and then with the present step, in
+        words, and the number of runs made."""
+        self._name, self._engine, self._tell, self._modules = scenario.name, engine, on_progress, modules
         self._rows: dict[str, Row] = {}  # by key of the run
         self._doing, self._left = "the run as it is", 1  # what is tried; runs that may still be made
         self._check = ""

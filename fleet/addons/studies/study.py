@@ -9,7 +9,7 @@ from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from fleet.addons.studies.borders import Border, Borders, Tell, border_plan, find_borders, prepare_borders, theory
+from fleet.addons.studies.borders import Border, Borders, OnProgress, border_plan, find_borders, prepare_borders, theory
 from fleet.addons.studies.engine import engine_of, need_extra
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.measures import CHECK, find_columns
@@ -324,7 +324,7 @@ def boundary(
     workers: int | None = None,
     scheduler: Any = None,
     trust: bool = False,
-    progress: Tell = lambda *_, **__: None,
+    progress: OnProgress = lambda *_, **__: None,
     **options: Unpack[BoundaryKeywords],
 ) -> Boundary:
     """Find where the pass rate of a scenario falls through a level.

@@ -174,7 +174,7 @@ def check_names(scenarios: Sequence[Scenario]) -> list[str]:
 def run_study(
     store: Store,
     engine: Engine,
-    tell: Callable[[Progress], None],
+    on_progress: Callable[[Progress], None],
     *,
     modules: Modules = NO_MODULES,
     timeout_s: float = inf,
@@ -186,7 +186,7 @@ def run_study(
     stay; KeyboardInterrupt: at any time, and rows that were made are written."""
     refuse_border(store)
     kept = store.record.rules.keep_logs if logs is None else logs
-    work = Work(store, engine, tell, time.monotonic() + budget_s)
+    work = Work(store, engine, on_progress, time.monotonic() + budget_s)
     signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
     with store.locked():
         like = Task("", 0, 0, store.record.scenario, "", timeout_s, modules, signals)
@@ -209,8 +209,8 @@ class _BudgetSpent(Exception):
 class Work:
     """Makes runs of a study, which is locked, and writes their rows, many at once."""
 
-    def __init__(self, store: Store, engine: Engine, tell: Callable[[Progress], None], until: float) -> None:
-        self.store, self.engine, self.until, self._tell = store, engine, until, tell
+    def __init__(self, store: Store, engine: Engine, on_progress: Callable[[Progress], None], until: float) -> None:
+        self.store, self.engine, self.until, self._on_progress = store, engine, until, on_progress
         self.progress = Progress(0, 0, began=time.monotonic())
         self._waiting, self._written = list[Row](), time.monotonic()
 
@@ -218,7 +218,7 @@ class Work:
         """Write rows that have waited for long enough, and show where it is. Raises _BudgetSpent."""
         if len(self._waiting) >= _WRITE_ROWS or time.monotonic() - self._written > _WRITE_S:
             self._flush()
-        self._tell(self.progress)
+        self._on_progress(self.progress)
         if time.monotonic() > self.until:
             raise _BudgetSpent
 

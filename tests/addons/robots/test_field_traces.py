@@ -48,7 +48,7 @@ def record(path: Path, samples: list[tuple[int, ZenohSample]]) -> Path:
 def traces(recording: Path, selection: FieldSelection = COUNTED) -> tuple[list[TraceTable], list[str]]:
     said: list[str] = []
     folder = recording.parent / "links"
-    files = write_field_traces(recording, folder, selection, force=True, say=said.append, tell=lambda _: None)
+    files = write_field_traces(recording, folder, selection, force=True, say=said.append, on_progress=lambda _: None)
     return [read_trace(file) for file in files], said
 
 

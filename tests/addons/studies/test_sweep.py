@@ -104,10 +104,10 @@ def test_an_interrupted_study_goes_on_where_it_was(small_file: str, whole: Store
     assert [(task.point, task.seed) for task in first.tasks] == [(0, 1), (1, 1), (2, 1)]  # all points before seed 2
     seen: list[tuple[int, int]] = []
 
-    def tell(progress: Progress) -> None:
+    def on_progress(progress: Progress) -> None:
         seen.append((progress.made, progress.runs))
 
-    run_study(again, second, tell)
+    run_study(again, second, on_progress)
     assert len(second.tasks) == 5
     assert {task.key for task in first.tasks}.isdisjoint(task.key for task in second.tasks)
     assert seen[-1] == (8, 8)

@@ -299,7 +299,7 @@ def test_long_delays_are_not_computed_and_that_is_said() -> None:
 def test_each_step_of_a_long_computation_is_told() -> None:
     steps: list[int] = []
     scenario = load_scenario("paper")
-    found = analyse(scenario, tell=lambda: steps.append(1))
+    found = analyse(scenario, on_progress=lambda: steps.append(1))
     first = len(steps)
     assert first > 0
     report(scenario, found)

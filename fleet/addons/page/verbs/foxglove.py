@@ -61,8 +61,8 @@ def _serve_live(source: LiveSource, host: str, port: int | None, line: StatusLin
 def _serve_log(source: LogSource, host: str, port: int | None, line: StatusLine, *, rate: float, loop: bool) -> None:
     from fleet.addons.page.foxglove_log import LogBridge  # needs foxglove-sdk
 
-    with showing(f"reading {source.path}") as tell:
-        tape = SeekableLog(source.path, tell)
+    with showing(f"reading {source.path}") as on_progress:
+        tape = SeekableLog(source.path, on_progress)
     with ending() as sessions:
         if tape.missing:
             line.print(f"warning: {source.path}: {tape.missing}")

@@ -56,9 +56,9 @@ def movie(
 
     check_place(out, force=force)
     window = begin / 1e9, None if end is None else end / 1e9
-    with showing(f"drawing {out}") as tell:
+    with showing(f"drawing {out}") as on_progress:
         missing = write(
-            log_path(log), out, tell, view=view, window=window, speed=speed, fps=fps, width=width - width % 8
+            log_path(log), out, on_progress, view=view, window=window, speed=speed, fps=fps, width=width - width % 8
         )
     if missing:
         say(f"fleet: {log}: {missing}", err=True)

@@ -73,13 +73,13 @@ def plot(
     from fleet.logs.reader import log_path
 
     said: list[str] = []
-    with showing("reading") as tell:
-        runs = load([log, *compare], tell)
+    with showing("reading") as on_progress:
+        runs = load([log, *compare], on_progress)
     view = View(shown.vehicles, shown.log_scale, shown.window)
     check_view(runs, view)
     check_signals(what, runs)
-    with showing("drawing") as tell:
-        paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, tell)
+    with showing("drawing") as on_progress:
+        paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, on_progress)
     cut = [f"{run.label}: {run.log.missing}" for run in runs if run.log.missing]
     for note in dict.fromkeys([*cut, *(note for run in runs for note in run.notes), *said]):
         say(f"fleet: {note}", err=True)

@@ -60,12 +60,12 @@ def report(
         click.echo(out)
         return
     check_options(chosen[0], OF_STUDIES, "studies")
-    with showing("reading") as tell:
-        runs = load(chosen, tell)
+    with showing("reading") as on_progress:
+        runs = load(chosen, on_progress)
     view = View(shown.vehicles, shown.log_scale, shown.window)
     check_view(runs, view)
-    with showing("drawing and adding up") as tell:
-        write(out, runs, view, tell)
+    with showing("drawing and adding up") as on_progress:
+        write(out, runs, view, on_progress)
     for run in runs:
         if run.log.missing:
             say(f"fleet: {run.label}: {run.log.missing}", err=True)

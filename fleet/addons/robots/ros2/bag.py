@@ -12,7 +12,7 @@ from fleet.addons.robots.ros2.rmw import DEFAULT, Qos
 from fleet.addons.robots.ros2.translation import RosMessage, Translation
 from fleet.addons.robots.ros2.types import RosTypes, types_of
 from fleet.errors import FleetError
-from fleet.logs.reader import LogReader, Tell
+from fleet.logs.reader import LogReader, OnProgress
 from fleet.logs.recover import Recovered, recover
 from fleet.replay.capture import writing
 from netem.private_folder import PrivateFolder
@@ -24,7 +24,7 @@ def bag_file(folder: Path) -> Path | None:
     return file if folder.is_dir() and file.is_file() else None
 
 
-def repair(folder: Path, out: Path | None = None, tell: Tell = lambda _: None) -> Recovered:
+def repair(folder: Path, out: Path | None = None, on_progress: OnProgress = lambda _: None) -> Recovered:
     """Write what can be read of a bag to `out`, by default `<bag>.recovered` beside it; nothing if nothing can. Raises
     LogReadError: the MCAP file cannot be opened; FleetError: `out` exists or cannot be written; the bag has a topic of
     a type that is not known here."""
@@ -36,7 +36,7 @@ def repair(folder: Path, out: Path | None = None, tell: Tell = lambda _: None) -
     try:
         with PrivateFolder("bag", out.parent) as private:
             whole = private / "whole.mcap"
-            found = recover(file, whole, tell)
+            found = recover(file, whole, on_progress)
             found.path, found.out = folder, out
             if not found.nothing:
                 _write(LogReader(whole), out)
@@ -125,7 +125,7 @@ class Bag:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def write_bag(log: Path, folder: Path, share: Tell = lambda _: None) -> tuple[list[Path], str]:
+def write_bag(log: Path, folder: Path, share: OnProgress = lambda _: None) -> tuple[list[Path], str]:
     """Write a log as a bag; times are simulated time from 0. Returns the files, and what was missing in the log, or "".
     Raises FleetError: it has nothing for ROS, or the place is taken or cannot be written; LogReadError: there is no log
     to read."""

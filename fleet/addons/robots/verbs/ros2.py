@@ -142,8 +142,8 @@ def _serve_log(
     from fleet.terminal.keyboard import Keyboard
 
     types = types_of(distro)
-    with showing(f"reading {source.path}") as tell:
-        tape = SeekableLog(source.path, tell)
+    with showing(f"reading {source.path}") as on_progress:
+        tape = SeekableLog(source.path, on_progress)
     translation = Translation(types, {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()})
     if not translation.vehicles:
         raise FleetError(f"{source.path} holds nothing that has a topic in ROS 2: it is no log of a run")

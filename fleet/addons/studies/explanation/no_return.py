@@ -38,7 +38,7 @@ from fleet.scenario.sections.log_rates import moment_grid
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame
 
-RUNS = "runs that are healed"  # what is being made, for `tell`
+RUNS = "runs that are healed"  # what is being made, for `on_progress`
 _FIRST, _THEN = 6, 3  # moments that are tried together
 _EVERY_NS = 1_000_000_000
 _LEAST_MOMENTS, _MOST_MOMENTS = 10, 100
@@ -145,11 +145,11 @@ class HealingSearch:
         remade: Rerun,
         check: str,
         engine: Engine,
-        tell: Callable[[str, int], None],
+        on_progress: Callable[[str, int], None],
         modules: Modules = NO_MODULES,
     ) -> None:
-        """Prepare it; `tell` is called now and then with what is being done and how many runs were made."""
-        self._scenario, self._check, self._engine, self._tell = remade.scenario, check, engine, tell
+        """Prepare it; `on_progress` is called now and then with what is being done and how many runs were made."""
+        self._scenario, self._check, self._engine, self._on_progress = remade.scenario, check, engine, on_progress
         self._modules, self._tree = modules, tree_of(remade.scenario)
         self._text = json.dumps(self._tree)
         self._moments = self._candidates(remade)
@@ -195,9 +195,9 @@ class HealingSearch:
 
         def take(more: list[Row]) -> None:
             rows.update((row.key, row) for row in more)
-            self._tell(RUNS, count + sum(len(row.futures) for row in rows.values()))
+            self._on_progress(RUNS, count + sum(len(row.futures) for row in rows.values()))
 
-        self._engine.make(iter(tasks), take, lambda: self._tell(RUNS, count))
+        self._engine.make(iter(tasks), take, lambda: self._on_progress(RUNS, count))
         for task in tasks:
             row = rows[task.key]
             if not row.futures:

@@ -27,7 +27,7 @@ from fleet.execution.in_process import InProcess
 from fleet.execution.moments import reach
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import FaultInterval
-from fleet.logs.reader import LogReader, Record, Tell, log_path
+from fleet.logs.reader import LogReader, OnProgress, Record, log_path
 from fleet.logs.schemas import BELIEF, COMMAND, PACKET, ROLL, STATE, MessageField
 from fleet.logs.topic_names import link_of
 from fleet.recorder.start import set_up_otherwise
@@ -256,9 +256,9 @@ def _ranged(delivery: Delivery, m: Any, tick_ns: int) -> Delivery:
     return replace(delivery, range_m=m.range, range_sd_m=m.range_sd, range_tick=round(m.ranged * 1e9 / tick_ns))
 
 
-def _read(path: Path, agent: int, tick_ns: int, tell: Tell) -> _Given:
+def _read(path: Path, agent: int, tick_ns: int, on_progress: OnProgress) -> _Given:
     given = _Given()
-    reader = LogReader(path, tell)
+    reader = LogReader(path, on_progress)
     decoder = Decoder(reader)
 
     def decode(record: Record, columns: Sequence[MessageField]) -> Any:

@@ -77,17 +77,17 @@ class Question:
     most_runs: int = 0  # healed ones; 0: none is made
 
 
-Tell = Callable[[str, int], None]
+OnProgress = Callable[[str, int], None]
 
 
 class Explanation:
-    def __init__(self, question: Question, tell: Tell) -> None:
+    def __init__(self, question: Question, on_progress: OnProgress) -> None:
         """Read the log, and make its run once more if that is possible. Raises LogReadError, FleetError, ScenarioError
         if the log cannot be explained; the text says why.
         """
-        self._question, self._tell = question, tell
+        self._question, self._on_progress = question, on_progress
         self._notes: list[str] = []
-        source = recorded(question.path, lambda share: tell(f"reading the log, {100 * share:.0f} %", 0))
+        source = recorded(question.path, lambda share: on_progress(f"reading the log, {100 * share:.0f} %", 0))
         self.path = source.path
         self._why_not = _why_not(source, question)
         self.scenario = source.script(policy=Policy())
@@ -127,7 +127,7 @@ class Explanation:
         return self._remade is not None and self._question.most_runs > 0
 
     def _remake(self) -> Rerun:
-        return remake(self.scenario, lambda share: self._tell(f"the run once more, {100 * share:.0f} %", 0))
+        return remake(self.scenario, lambda share: self._on_progress(f"the run once more, {100 * share:.0f} %", 0))
 
     def _of_origin(self, source: Recorded) -> tuple[list[str], list[Verdict]]:
         """Compare the scenario with that of the run that this one goes on from.
@@ -157,11 +157,13 @@ class Explanation:
 
     def _no_return(self, engine: Engine, modules: Modules) -> NoReturn:
         assert self._remade is not None
-        search = HealingSearch(self._remade, self.verdict.check, engine, self._tell, modules)
+        search = HealingSearch(self._remade, self.verdict.check, engine, self._on_progress, modules)
         return search.run(self._question.most_runs)
 
     def _explained(self, found: NoReturn) -> Why:
-        log = open_log(self.path, TOPICS, share=lambda share: self._tell(f"reading the log, {100 * share:.0f} %", 0))
+        log = open_log(
+            self.path, TOPICS, share=lambda share: self._on_progress(f"reading the log, {100 * share:.0f} %", 0)
+        )
         begin, failed_s, failing = self._when(log)
         at_s = min(failed_s, log.end)
         own = any(control.agent is not None for control in self.scenario.controls)

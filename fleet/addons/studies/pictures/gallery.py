@@ -74,7 +74,7 @@ from fleet.addons.studies.pictures.points import (
 from fleet.addons.studies.statistics import Estimate
 from fleet.addons.studies.store import Store
 from fleet.errors import printable
-from fleet.logs.reader import Tell
+from fleet.logs.reader import OnProgress
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 
@@ -480,7 +480,7 @@ class Picture(NamedTuple):
     figure: Figure | str
 
 
-def draw(points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> Iterator[Picture]:
+def draw(points: Points, log_scale: bool | None = None, share: OnProgress = lambda _: None) -> Iterator[Picture]:
     """The pictures of a study, the share that passed first, then the measures, then pairs of runs. `log_scale`: numbers
     have a logarithmic axis; None: numbers of a wide range have one. `share`: called before each picture with the share
     that is done."""
@@ -529,7 +529,7 @@ def write(
     formats: Sequence[str] = ("png",),
     log_scale: bool | None = None,
     tell: Callable[[str], None] = lambda _: None,
-    share: Tell = lambda _: None,
+    share: OnProgress = lambda _: None,
 ) -> list[Path]:
     """Draw into a folder, which is made if need be; returns the files. `measures`: in addition to the share of runs
     that passed; none: those of the table of `fleet sweep`. `tell`: called with a sentence about each picture that could
@@ -543,7 +543,7 @@ def plot(store: Store, measures: Sequence[str], folder: Path | None, formats: Se
     return figures(_with_origins(store, measures, None, lambda _: None), folder, formats, lambda _: None)
 
 
-def _with_origins(store: Store, measures: Sequence[str], log_scale: bool | None, share: Tell) -> Iterator[Drawn]:
+def _with_origins(store: Store, measures: Sequence[str], log_scale: bool | None, share: OnProgress) -> Iterator[Drawn]:
     points, record = load(store, measures), store.record
     axes = ", ".join(axis.key for axis in record.axes) or "none"
     facts = ("scenario", record.scenario), ("axes", axes), ("seeds", str(len(record.seeds)))

@@ -20,7 +20,7 @@ from fleet.addons.studies.row import Row
 from fleet.addons.studies.statistics import Estimate, compare, levels
 from fleet.addons.studies.store import Store
 from fleet.errors import printable
-from fleet.logs.reader import Tell
+from fleet.logs.reader import OnProgress
 from fleet.logs.topic_names import STAMP
 
 MOST_POINTS, MOST_REASONS, MOST_VALUES = 200, 30, 12
@@ -32,7 +32,7 @@ def write(
     store: Store,
     measures: Sequence[str] = (),
     log_scale: bool | None = None,
-    share: Tell = lambda _: None,
+    share: OnProgress = lambda _: None,
 ) -> None:
     """Write the page. `measures`: in addition to the share of runs that passed; none: those of the table of `fleet
     sweep`. `log_scale`: numbers have a logarithmic axis; None: numbers of a wide range have one. Raises StudyError:
@@ -41,7 +41,7 @@ def write(
     write_page(path, lambda: page(store, points, log_scale, share))
 
 
-def page(store: Store, points: Points, log_scale: bool | None = None, share: Tell = lambda _: None) -> str:
+def page(store: Store, points: Points, log_scale: bool | None = None, share: OnProgress = lambda _: None) -> str:
     """The whole page as HTML. Raises StudyError: the study is damaged."""
     rows = _Rows(store)
     directory = from_here(store.directory)

@@ -45,8 +45,8 @@ def whatif(
     from fleet.addons.studies.explanation.what_if import what_if
 
     changes = [*overrides, *key_options(controller=controller)]
-    with showing(f"agent {agent}") as tell:
-        found = what_if(log, agent, changes, tell)
+    with showing(f"agent {agent}") as on_progress:
+        found = what_if(log, agent, changes, on_progress)
     if plot is not None:
         from fleet.addons.studies.explanation.what_if import draw
         from fleet.logs.reader import digest, log_path
@@ -105,8 +105,8 @@ def why(
         from fleet.addons.studies.explanation.picture import draw
 
         format_of(picture)
-    with how.showing(_pieces) as tell:
-        explanation = Explanation(Question(log, check, budget), tell)
+    with how.showing(_pieces) as on_progress:
+        explanation = Explanation(Question(log, check, budget), on_progress)
         if explanation.searches:
             with how.engine() as engine:
                 found = explanation.find(engine, engine.carry(explanation.modules))

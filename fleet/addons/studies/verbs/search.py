@@ -73,9 +73,9 @@ def shrink(
     scenario, folder = _failing_scenario(failing, changes)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with how.showing(pieces) as tell, how.engine() as engine:
+    with how.showing(pieces) as on_progress, how.engine() as engine:
         try:
-            found = Shrinker(scenario, engine, tell, engine.carry(modules)).shrink(check, budget)
+            found = Shrinker(scenario, engine, on_progress, engine.carry(modules)).shrink(check, budget)
         except KeyboardInterrupt:
             say(f"stopped, so {path} is not written; --budget N ends with the least scenario after N runs", err=True)
             raise
@@ -235,9 +235,9 @@ def search(
     mode: NemesisMode = "liveness" if liveness else "episodes" if episodes else "swarm" if nemesis else None
     tried, modules = _tried(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
-    with how.showing(_seed_pieces(budget)) as tell, how.engine() as engine:
+    with how.showing(_seed_pieces(budget)) as on_progress, how.engine() as engine:
         try:
-            hunt.run(engine, tell, engine.carry(modules), budget)
+            hunt.run(engine, on_progress, engine.carry(modules), budget)
         except KeyboardInterrupt:
             say(hunt.stopped(scenario), err=True)
             raise
@@ -274,31 +274,36 @@ class _Hunt:
         return f"stopped, and no check had failed; fleet search {scenario} --keep DIR can be stopped and goes on later"
 
     def run(
-        self, engine: Engine, tell: Callable[[str, int], None], modules: Modules, budget: tuple[float, float]
+        self, engine: Engine, on_progress: Callable[[str, int], None], modules: Modules, budget: tuple[float, float]
     ) -> None:
         """Search, and make what was found as small as it can be."""
         from fleet.addons.studies.failures import make_least
         from fleet.addons.studies.search import search
 
         most_runs, budget_s = budget
-        found = search(self._tried, engine, partial(tell, SEEDS), check=self._check, most_runs=most_runs,
+        found = search(self._tried, engine, partial(on_progress, SEEDS), check=self._check, most_runs=most_runs,
                        budget_s=budget_s, modules=modules, keep=self._folder)  # fmt: skip
         self.found = found
         if found.without:
             say(f"{found.without} runs have no result, the first one because of: {found.reason}", err=True)
         if self._folder is not None:
-            make_least(self._folder, self._tried, engine, tell, modules, MOST_RUNS)
+            make_least(self._folder, self._tried, engine, on_progress, modules, MOST_RUNS)
             self.kept = self._folder.of(self._tried)
         elif found.scenario is not None:
-            self._shrink(found, found.scenario, engine, tell, modules)
+            self._shrink(found, found.scenario, engine, on_progress, modules)
 
     def _shrink(
-        self, found: SearchResult, failing: Scenario, engine: Engine, tell: Callable[[str, int], None], modules: Modules
+        self,
+        found: SearchResult,
+        failing: Scenario,
+        engine: Engine,
+        on_progress: Callable[[str, int], None],
+        modules: Modules,
     ) -> None:
         from fleet.addons.studies.shrink import Shrinker
 
         say(f"seed {found.seed} fails {found.check}, the first one from {found.first_seed} on", err=True)
-        self.least = Shrinker(failing, engine, tell, modules).shrink(found.check, MOST_RUNS)
+        self.least = Shrinker(failing, engine, on_progress, modules).shrink(found.check, MOST_RUNS)
         write_least(self.least.scenario, self.path)
 
 
@@ -378,8 +383,8 @@ def regress(
 
     regression = Regression(FailureFolder(folder))
     of = len(regression.failures)
-    with how.showing(lambda _, made, of: [Piece(0, [f"{made} / {of} runs"])]) as tell, how.engine() as engine:
-        found = regression.run(engine, lambda made: tell(made, of), engine.carry(regression.modules))
+    with how.showing(lambda _, made, of: [Piece(0, [f"{made} / {of} runs"])]) as on_progress, how.engine() as engine:
+        found = regression.run(engine, lambda made: on_progress(made, of), engine.carry(regression.modules))
     if accept:
         found = regression.accept(found)
     cli_junit.write(junit, folder.name, junit_cases.of_regress(found))
@@ -444,9 +449,9 @@ def rare(
     loaded = load_scenario(scenario, [*changes])
     modules = modules_of([loaded], Path(scenario).parent if Path(scenario).exists() else None)
     path = out or Path(f"{loaded.name}-rare.json")
-    with how.showing(pieces) as tell, how.engine() as engine:
+    with how.showing(pieces) as on_progress, how.engine() as engine:
         event = RareEvent(loaded, check, Splitting(effort), engine.carry(modules))
-        found = event.run(engine, tell, repeats, path, inf if budget is None else budget / 1e9)
+        found = event.run(engine, on_progress, repeats, path, inf if budget is None else budget / 1e9)
     print_result(found, *_rare_lines(found))
 
 

@@ -64,11 +64,11 @@ class WorkerOptions:
         """
         with StatusLine(quiet=self.quiet) as line:
 
-            def tell(*what: object, **more: object) -> None:
+            def on_progress(*what: object, **more: object) -> None:
                 if line.due():
                     line.show(pieces(line, *what, **more))
 
-            yield tell
+            yield on_progress
 
     def warn(self, text: str) -> None:
         """Print a warning on stderr, unless it is to be quiet."""

@@ -165,10 +165,10 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: WorkerOpti
         return
     if modules is None:
         modules = modules_again(store)
-    with how.showing(_pieces) as tell, how.engine() as workers:
+    with how.showing(_pieces) as on_progress, how.engine() as workers:
         try:
             progress = run_study(
-                store, workers, tell, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
+                store, workers, on_progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,
                 logs=spec.keep_logs,
             )  # fmt: skip
         except KeyboardInterrupt:

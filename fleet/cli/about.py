@@ -18,6 +18,7 @@ import click
 import psutil
 
 import fleet
+from fleet.addon import installed
 from fleet.cli.completion import RUNS
 from fleet.cli.declare import command
 from fleet.cores import cores_and_reason, processor
@@ -101,6 +102,9 @@ def _packages() -> Iterator[tuple[str, str]]:
             missing.append(name)
     yield "packages", ", ".join(text for text in found if not text.startswith("uuv-fleet "))
     yield "not installed", ", ".join(missing) or "none"
+    addons = installed()
+    yield "add-ons", ", ".join(addons.addons) or "none"
+    yield from (("left out", f"{name}: {reason}") for name, reason in addons.left_out.items())
 
 
 def _system() -> Iterator[tuple[str, str]]:

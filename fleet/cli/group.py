@@ -135,8 +135,11 @@ def _checked(name: str, found: Any) -> click.Command:
 
 def _left_out() -> str:
     """The add-ons that this environment has and that cannot be used, with the reason of the first."""
-    names = installed().left_out
-    return f"\nadd-ons that are left out: {', '.join(names)} ({next(iter(names.values()))})" if names else ""
+    found = installed()
+    if found.left_out:
+        return f"\nadd-ons that are left out: {', '.join(found.left_out)} ({next(iter(found.left_out.values()))})"
+    hint = "\nno add-on is registered in this environment; in a checkout `pip install -e .` registers ours"
+    return "" if found.addons else hint
 
 
 _CHANGE = re.compile(r"unexpected extra arguments? \(([\w.*>-]+=[^)]*)\)")

@@ -50,7 +50,7 @@ ONCE = (
     *("tests/house/test_docstrings.py", "tests/house/test_errors.py", "tests/house/test_foreign_project.py"),
     "tests/house/test_lessons.py",
     *("tests/house/test_rooms.py", "tests/house/test_site.py", "tests/house/test_study_example.py"),
-    "tests/system/test_compiled.py",
+    *("tests/system/test_compiled.py", "tests/system/test_core_alone.py"),
 )
 # The benchmarks and the paper's claims: a change of the product seldom concerns them.
 NIGHTLY = ("tests/benchmarks", "tests/addons/paper")

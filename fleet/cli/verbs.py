@@ -25,8 +25,8 @@ CORE: dict[str, dict[str, Verb]] = {
     },
     "After a run": {
         "ls": Verb("fleet.cli.runs:ls", "List the live runs, and the runs below a directory."),
-        "info": Verb("fleet.cli.logs:info", "Summarise a log."),
-        "export": Verb("fleet.cli.logs:export", "Write a log as tables, or as a scenario."),
+        "info": Verb("fleet.cli.info:info", "Summarise a log."),
+        "export": Verb("fleet.cli.export:export", "Write a log as tables, or as a scenario."),
     },
     "Prove and change": {
         "verify": Verb("fleet.cli.verify:verify", "Run a log's scenario again and compare every byte."),

@@ -1,4 +1,4 @@
-"""The commands that show a log: export and info."""
+"""The command `fleet export`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Annotated
 import click
 
 from fleet.cli.declare import command
-from fleet.cli.documents.output import print_result
 from fleet.cli.exporter import Exporters, Selection
 from fleet.cli.log_argument import Log, check_options
 from fleet.cli.types import FOLDER, Force, NoProgress
@@ -113,19 +112,3 @@ def _print_scenario(log: Path) -> None:
     with showing(f"reading {log}") as on_progress:
         made = script(log, on_progress)
     click.echo(made.to_yaml(), nl=False)
-
-
-@command(document="fleet.logs.info.Info")
-def info(log: Log, *, quiet: NoProgress = False) -> None:
-    """Summarise LOG (an MCAP file, a run directory, or a bag of ROS 2), also if it was cut short.
-
-    \b
-    Examples:
-      fleet info
-      fleet info runs/latest/run.mcap --json
-    """
-    from fleet.logs.info import info_text, read_info
-
-    with showing(f"reading {log}") as on_progress:
-        found = read_info(log, on_progress)
-    print_result(found, info_text(found))

@@ -48,7 +48,7 @@ EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 # What is asked once per merge, since it looks at the whole tree, or at what is built from it.
 ONCE = (
     *("tests/house/test_docstrings.py", "tests/house/test_errors.py", "tests/house/test_foreign_project.py"),
-    "tests/house/test_lessons.py",
+    *("tests/house/test_foreign_addon.py", "tests/house/test_lessons.py"),
     *("tests/house/test_rooms.py", "tests/house/test_site.py", "tests/house/test_study_example.py"),
     *("tests/system/test_compiled.py", "tests/system/test_core_alone.py"),
 )

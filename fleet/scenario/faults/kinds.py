@@ -13,7 +13,15 @@ from fleet.scenario.faults.of_motion import OF_MOTION
 from fleet.scenario.faults.of_sensors import OF_SENSORS
 
 _OURS = (*OF_LINKS, *OF_AGENTS, *OF_SENSORS, *OF_MOTION)
-KINDS: Mapping[str, FaultKind] = MappingProxyType(
-    {kind.name: kind for kind in (*parts("fault_kinds"), *_OURS)}  # the last of a name holds: none replaces ours
-)
+
+
+def every_kind() -> Mapping[str, FaultKind]:
+    """Our kinds and those of add-ons, none of which takes the place of ours."""
+    return MappingProxyType(
+        {kind.name: kind for kind in _OURS}
+        | {kind.name: kind for kind in parts("fault_kinds") if kind.name not in {ours.name for ours in _OURS}}
+    )
+
+
+KINDS = every_kind()
 OF_ROBOTS = tuple(name for name, kind in KINDS.items() if kind.acts_on == "network")  # that are not ours, too

@@ -37,13 +37,18 @@ def rooms() -> dict[str, int]:
 def _floors() -> list[str]:
     """The floors of all contracts, the highest first, `fleet` spelled out."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
-    layers = {contract["name"]: contract["layers"] for contract in contracts if "layers" in contract}
-    packages, fleet = (next(some for some in layers.values() if key in some) for key in ("agents", "fleet.cli"))
-    return [*fleet, *(layer for layer in packages if layer != "fleet")]
+    layers = [contract for contract in contracts if "layers" in contract]
+    packages, fleet = (
+        next(each["layers"] for each in layers if key in each["layers"]) for key in ("agents", "fleet.cli")
+    )
+    (addons,) = (each["layers"] for each in layers if each.get("containers") == ["fleet.addons"])
+    spelt = [" | ".join(f"fleet.addons.{name}" for name in floor.split(" | ")) for floor in addons]
+    return [*spelt, *fleet, *(layer for layer in packages if layer != "fleet")]
 
 
 def _floor(room: str, order: Sequence[str]) -> int:
-    top = ".".join(room.split(".")[:2]) if room.startswith("fleet.") else room.split(".")[0]
+    parts = room.split(".")
+    top = ".".join(parts[: 3 if room.startswith("fleet.addons.") else 2 if room.startswith("fleet.") else 1])
     known = (k for k, floor in enumerate(order) if (BELOW if top == "fleet" else top) in floor.split(" | "))
     return next(known, -1)  # templates, which nobody imports
 

@@ -6,7 +6,7 @@ A package says in its pyproject.toml that it has one:
     tides = "tides:ADDON"
 
 The object is an `AddOn`. It names modules in place of importing them, because each start of `fleet` reads it. Vehicles,
-laws and checks have entry points of their own: `uuv_fleet.plants`, `uuv_fleet.laws` and others.
+laws and checks have entry points of their own: `uuv_fleet.plants`, `uuv_fleet.controllers`, `uuv_fleet.checks`.
 """
 
 from __future__ import annotations

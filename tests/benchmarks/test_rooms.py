@@ -16,23 +16,25 @@ STORED = ROOT / "docs" / "rooms.svg"
 
 def test_every_room_is_in_the_picture_that_is_drawn_and_in_the_stored_one() -> None:
     sizes = rooms()
-    assert {"fleet.recorder.scene.messages", "fleet.addons.page", "netem.wire"} <= sizes.keys() and all(sizes.values())
+    assert {"fleet.recorder.scene", "fleet.addons.page", "netem.wire"} <= sizes.keys() and all(sizes.values())
     picture = svg(sizes, imports(list(sizes)))
     ElementTree.fromstring(picture)
     assert sizes.keys() == named(picture) == named(STORED.read_text("utf-8")), (
         "draw it again: python benchmarks/rooms.py > docs/rooms.svg"
     )
-    assert "<title>fleet.addons.page imports fleet.recorder.scene.messages: " in picture
+    assert "<title>fleet.addons.page imports fleet.recorder.scene: " in picture
     assert "<title>netem imports world" not in picture
 
 
 def test_rooms_stand_in_the_order_of_the_floors() -> None:
     order = list(rooms())
     wanted = [
-        "fleet.cli",
+        "fleet.addons.robots",
         "fleet.addons.page",
+        "fleet.addons.pictures",
+        "fleet.cli",
         "fleet.recorder",
-        "fleet.recorder.scene.messages",
+        "fleet.recorder.scene",
         "fleet.scenario",
         "agents",
         "world",

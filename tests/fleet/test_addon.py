@@ -25,11 +25,14 @@ from fleet.cli.companion import Beside, Companion
 from fleet.cli.declare import command
 from fleet.cli.group import command_of
 from fleet.cli.run import Companions
+from fleet.errors import ScenarioError
 from fleet.execution.options import Options
 from fleet.logs.other import OtherData
 from fleet.option import Option
 from fleet.scenario.faults.kinds import KINDS, every_kind
+from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from world.plugins import loading
 
 HEARD: list[str] = []
 
@@ -196,3 +199,16 @@ def test_a_reader_makes_a_log_of_what_is_none(made: Alone, tmp_path: Path) -> No
 def test_a_kind_of_faults_is_one_more_and_takes_the_place_of_none() -> None:
     found = every_kind()
     assert found["squall"] is SQUALL and found["kill"] is KINDS["kill"] and len(found) == len(KINDS) + 1
+
+
+def test_a_check_may_be_named_by_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("few-leaders", "fleet.protocols.checks:AtMostOneLeader", "uuv_fleet.checks")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == point.group else [])
+    loading.installed.cache_clear()
+    try:
+        result = fleet.run("election", set={"checks": {"few-leaders": {"per": "fleet"}}, "duration": "2 s"})
+        assert result.checks[-1].check == "few-leaders"
+        with pytest.raises(ScenarioError, match="few-leaders2"):
+            load_scenario("election", ["checks={few-leaders2: {}}"])
+    finally:
+        loading.installed.cache_clear()

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
 LAWS = "uuv_fleet.controllers"
 PLANTS = "uuv_fleet.plants"
+CHECKS = "uuv_fleet.checks"
 # The entry points of each kind of plug-in; those of laws share one group.
-GROUPS = {**dict.fromkeys(("controller", "guidance", "tracking", "agent"), LAWS), "plant": PLANTS}
+GROUPS = {**dict.fromkeys(("controller", "guidance", "tracking", "agent"), LAWS), "plant": PLANTS, "check": CHECKS}
 _UNIT = "fmu:"  # what begins the name of a plant that is an FMU, before its file
 _MAX_CLASSES = 8  # named in a hint
 

@@ -18,6 +18,7 @@ from pydantic import (
 from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
 from fleet.scenario.value_types import Section, mistake
+from world.plugins.loading import CHECKS, installed
 
 
 class Below(Section):
@@ -222,7 +223,9 @@ class ChecksSection(Section):
         """Put the checks that are classes under one key."""
         if not isinstance(value, dict):
             return value
-        classes = {key: one for key, one in value.items() if isinstance(key, str) and ":" in key}
+        known = {field.alias or name for name, field in cls.model_fields.items()}
+        others = {key: one for key, one in value.items() if isinstance(key, str) and key not in known}
+        classes = {key: one for key, one in others.items() if ":" in key or key in installed(CHECKS)}
         return {key: one for key, one in value.items() if key not in classes} | ({PYTHON: classes} if classes else {})
 
     @model_serializer(mode="wrap")

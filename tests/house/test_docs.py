@@ -45,7 +45,8 @@ def test_links_lead_to_files(name: str) -> None:
 
 
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
-PAGES = {"docs/architecture.md": ARCHITECTURE, "CONTRIBUTING.md": (ROOT / "CONTRIBUTING.md").read_text("utf-8")}
+_PAGES = ("docs/architecture.md", "CONTRIBUTING.md", "docs/contributing/additions.md", "docs/contributing/tests.md")
+PAGES = {page: (ROOT / page).read_text("utf-8") for page in _PAGES}
 
 
 def test_the_architecture_page_lists_every_room_with_its_sentence() -> None:

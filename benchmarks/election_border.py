@@ -22,7 +22,7 @@ from typing import NamedTuple
 import click
 from stack import until_open  # the script beside this one
 
-from fleet.addons.studies.borders import PsychometricCurve
+from fleet.addons.studies.psychometric import PsychometricCurve
 from fleet.addons.studies.statistics import pass_rate
 from fleet.processes.limits import free_port
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import bisect
 from scipy.stats import norm
 
-from fleet.addons.studies.borders import RISING, PsychometricCurve, Walk, steepest_rise
+from fleet.addons.studies.psychometric import RISING, PsychometricCurve, Walk, steepest_rise
 from fleet.addons.studies.statistics import pass_rate
 
 COUNTS = (12, 20, 40, 60, 100)

@@ -13,7 +13,7 @@ from hand import Hand
 from in_process_runs import recorded
 from live import LiveRun
 
-from fleet.addons.pictures.gallery import punctuality
+from fleet.addons.pictures.answer_times import punctuality
 from fleet.addons.pictures.runs import NothingToDraw, View, load
 from fleet.addons.studies.explanation.what_if import what_if
 from fleet.errors import FleetError

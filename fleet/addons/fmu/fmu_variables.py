@@ -25,7 +25,6 @@ from netem.limits import FMU_DESCRIPTION
 from world.errors import FmuError
 from world.signal import Signal
 
-# --- fmu description
 # The model description of an FMU: its XML is read in one pass, in a time and a memory that its size bounds.
 #
 # fmpy's reader is not used. It validates with native code, whose time grows with the square of the mistakes (10 kB with

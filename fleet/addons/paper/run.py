@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from fleet.result.result import Result
 
 
-# --- report
 # The report as Markdown and JSON: everything in it comes from the runs.
 
 

@@ -35,9 +35,6 @@ from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.scenario.sections.vehicle_events import is_fault
 
-# --- failures: the times at which checks failed, marked on the axes over time
-
-
 MOST_MARKS = 6
 _ROOM = 0.06  # of the axis: what a number needs
 COLOUR = "#a4001d"
@@ -65,9 +62,6 @@ def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
         )  # fmt: skip
         words.append(f"✗{number}  fails at {at_s:g} s: {', '.join(names)}")
     return words + ([f"and at {len(shown) - MOST_MARKS} more times"] if len(shown) > MOST_MARKS else [])
-
-
-# --- bands: many vehicles as a band with a median, and the few that differ most by name
 
 
 NAMED = 3  # outliers
@@ -167,7 +161,6 @@ def band_legend(vehicles: int, named: Sequence[int]) -> list[Artist]:
     ]
 
 
-# --- envelope
 # A signal that oscillates faster than a picture can show: its envelope and its mean instead of a solid block.
 
 

@@ -48,9 +48,6 @@ from netem.fault_kinds import Cause
 from netem.ledger import Account
 from netem.wire.messages import Fate
 
-# --- telling: which picture shows best what a run came to: the one at the top of a report
-
-
 _OF_CHECKS = {
     "formation_error": "formation", "consensus_error": "error", "recovery_time": "formation", "tumbled": "formation",
     "min_separation": "track", "deaths": "track", "max_age": "ages", "connected": "links", "ledger": "links",
@@ -77,9 +74,6 @@ def _of(verdicts: Iterable[Verdict]) -> list[str]:
 
 
 _ERRORS = {"error.e_norm": "error", "error.formation_norm": "formation"}  # signals that have a picture of their own
-
-
-# --- report tables: headings and rows, which the page's template turns into HTML
 
 
 _Name = TypeVar("_Name", int, str)
@@ -189,7 +183,6 @@ def number(key: str, value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-# --- report scenario
 # A report's text about a run's scenario: the fleet, its laws and its graph, and the conditions of its links.
 
 

@@ -31,7 +31,6 @@ from fleet.recorder.scene.primitives import AreaShape, CylinderShape, LineShape,
 from fleet.recorder.scene.styles import COURSE, PRINT
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 
-# --- track beliefs
 # Where the vehicles believed that they were, beside where they were: a thin way, and an ellipse at a few moments.
 
 
@@ -93,7 +92,6 @@ def draw_ways_in_space(ax: Any, ways: Sequence[BelievedWay]) -> None:
             ax.add_collection3d(Poly3DCollection(corners, **style, **_AREA))
 
 
-# --- track marks
 # The marks on the pictures of the tracks: events of vehicles and their places, directions, desired places.
 
 

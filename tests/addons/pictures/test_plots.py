@@ -21,11 +21,11 @@ from repository import ROOT
 from tool import invoke
 
 import fleet
-from fleet.addons.pictures import exchange, gallery
+from fleet.addons.pictures import exchange
 from fleet.addons.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.addons.pictures.report import _from_log, links_table, page
 from fleet.addons.pictures.report import write as write_report
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, labels_of, load, with_gaps
+from fleet.addons.pictures.runs import Run, View, labels_of, load, with_gaps
 from fleet.addons.pictures.style import panels, plain_decades
 from fleet.addons.pictures.verbs.choice import KINDS, PARTS
 from fleet.errors import FleetError
@@ -360,7 +360,6 @@ def test_what_can_be_asked_for_is_what_there_is() -> None:
     assert tuple(WHAT) == KINDS
     assert set(PARTS) == {name for pictures in WHAT.values() for name, _, _ in pictures} - set(WHAT)
     assert set(WHAT) >= PER_RUN
-    assert NothingToDraw and gallery.FORCES
 
 
 def test_a_single_picture_can_be_asked_for_and_none_is_drawn_twice(runs: dict[str, Run]) -> None:

@@ -8,7 +8,7 @@ from in_process_runs import Alone
 from matplotlib.colors import to_hex
 
 from fleet.addons.pictures.exchange import FATES
-from fleet.addons.pictures.gallery import LATE, MOST_ROWS, Row, fold, strips, time_bins, timeline
+from fleet.addons.pictures.packet_shares import LATE, MOST_ROWS, Row, fold, strips, time_bins, timeline
 from fleet.addons.pictures.runs import Run, View, load
 from netem.fault_kinds import Cause
 

@@ -10,7 +10,7 @@ from in_process_runs import Alone
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from fleet.addons.pictures import gallery
+from fleet.addons.pictures import time_series
 from fleet.addons.pictures.runs import Run, View, load
 from fleet.addons.pictures.style import panels
 from fleet.addons.pictures.thresholds import Threshold, draw_thresholds, thresholds
@@ -34,20 +34,20 @@ def lines(ax: Axes, gid: str) -> list[Any]:
 
 
 def test_the_checks_of_an_error_are_drawn_where_they_hold(run: Run) -> None:
-    (ax,) = gallery.formation([run], View()).axes
+    (ax,) = time_series.formation([run], View()).axes
     drawn = {(*line.get_xdata(), line.get_ydata()[0]) for line in lines(ax, "check")}
     assert drawn == {(4.0, 5.0, 0.1), (3.0, 5.0, 0.5)}
     told = [text.get_text() for text in ax.texts if text.get_gid() == "check-name"]
     assert told == ["check: below 0.1 m 2 s after crash", "check: below 0.5 m from 3 s"]
-    assert not lines(gallery.consensus([run], View()).axes[0], "check")
-    assert not lines(gallery.formation([run], View(window=(0.0, 2.0))).axes[0], "check")
+    assert not lines(time_series.consensus([run], View()).axes[0], "check")
+    assert not lines(time_series.formation([run], View(window=(0.0, 2.0))).axes[0], "check")
     assert len(thresholds([run, run], "formation")) == 2  # each once
 
 
 def test_limits_are_those_of_the_window(run: Run) -> None:
     """What happened before is not on the axis."""
     for log in (None, False):
-        (ax,) = gallery.formation([run], View(log_scale=log, window=(1.5, 2.5))).axes
+        (ax,) = time_series.formation([run], View(log_scale=log, window=(1.5, 2.5))).axes
         seen = [np.asarray(line.get_ydata()) for line in lines(ax, "paper-vehicle")]
         assert ax.get_ylim()[1] < 1.6 * max(np.nanmax(values) for values in seen)
         error = run.log["uuv/1/error"]
@@ -59,7 +59,7 @@ def test_limits_are_those_of_the_window(run: Run) -> None:
 
 def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
     """Not even with its width: beyond the limit every pixel is without colour."""
-    figure = gallery.inputs([run], View())
+    figure = time_series.inputs([run], View())
     figure.set_dpi(300)
     canvas = FigureCanvasAgg(figure)
     for ax in figure.axes:
@@ -113,7 +113,7 @@ def test_an_input_beyond_the_limit_is_shown(run: Run, monkeypatch: pytest.Monkey
             (found[0], 1.5 * found[1]) if (self is strong and (i, name) == (1, "applied")) else series(i, group, name)
         ),
     )  # fmt: skip
-    figure = gallery.inputs([strong], View())
+    figure = time_series.inputs([strong], View())
     figure.draw_without_rendering()
     ax = figure.axes[1]
     for i, cut in ((1, False), (2, True)):
@@ -134,9 +134,9 @@ def test_checks_of_one_value_are_one_line() -> None:
 def test_no_heavy_line_joins_the_two_limits(made: Alone) -> None:
     """A command that goes from one limit to the other between two samples of a thin log."""
     run = load([made("paper", "checks={}", "vehicles=20", "duration=1 s", "log={every: 20 ticks}").directory])[0]
-    figure = gallery.inputs([run], View(vehicles=(14,)))
+    figure = time_series.inputs([run], View(vehicles=(14,)))
     heavy = [
-        line for ax in figure.axes for line in ax.get_lines() if str(line.get_gid()).endswith(gallery.HEAVY_SUFFIX)
+        line for ax in figure.axes for line in ax.get_lines() if str(line.get_gid()).endswith(time_series.HEAVY_SUFFIX)
     ]
     values = [np.asarray(line.get_ydata(), float) for line in heavy]
     assert {float(np.sign(v)) for found in values for v in found[np.isfinite(found)]} == {1.0, -1.0}

@@ -15,7 +15,7 @@ from small_scenario import small
 from tool import invoke
 
 from fleet.addons.robots import link_fit
-from fleet.addons.robots.link_fit import _expect, fit_losses
+from fleet.addons.robots.hidden_markov import _expect, fit_losses
 from fleet.addons.robots.verbs.fit import fit_lines
 from fleet.errors import FleetError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fleet.addons.studies.borders import (
+from fleet.addons.studies.psychometric import (
     ENDS,
     RISING,
     SCALES,

@@ -18,9 +18,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.pictures.beliefs import beliefs
-from fleet.addons.pictures.gallery import formation
 from fleet.addons.pictures.report import believed_errors
 from fleet.addons.pictures.runs import Run, View, load
+from fleet.addons.pictures.time_series import formation
 from fleet.addons.pictures.track import _believed, _tracks, space, top
 from fleet.logs.open_log import open_log
 from fleet.recorder.scene.model import NewestBeliefs, PlaceBelief, drawn_belief, ellipse

@@ -49,7 +49,6 @@ from netem.wire.messages import (
     Transmission,
 )
 
-# --- canned messages
 # The bad input of `fleet protocol check`: payloads that a network has damaged, and bytes that are no message.
 
 
@@ -76,9 +75,6 @@ def junk_of(life: int) -> tuple[bytes, ...]:
         msgpack.packb(["rx", life, None, False, []]),
         msgpack.packb(["weather", life, 1, [], []]),
     )
-
-
-# --- checks: the rules of `fleet protocol check`, and the form of a verdict
 
 
 ASKS = "asks cfg for its slice"
@@ -122,7 +118,6 @@ class ProtocolCheck:
         return f"FAIL  {self.what}: expected {self.expected}; got {self.got}"
 
 
-# --- emulated fleet
 # All of a run that one agent sees, in one session: router, world, netem and console, for a canned exchange.
 
 

@@ -30,7 +30,6 @@ from netem.wire.credentials import LEASE_MS
 from netem.wire.messages import PROTOCOL_VERSION, Message, Route, TimedFault, WireRecord, WorldFault
 from world.config import VehicleParams
 
-# --- slice fields
 # An agent's slice of the scenario, field by field, for the protocol page; a test compares it with the declarations.
 
 
@@ -203,7 +202,6 @@ def slice_page() -> str:
     return "\n".join(parts)
 
 
-# --- wire types: declared messages and records as rows of a table: field, wire type, unit, meaning
 # A wire type is uint, bool, str, bin, the name of a record or of an enumeration of texts, or an array of one of these
 # or of reals: `real[3]` of a declared length, `real[..2]` of at most one, `[*]` of any. A field that may stay open is
 # `or nil`.

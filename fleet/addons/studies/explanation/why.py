@@ -266,9 +266,6 @@ def _chosen(path: Path, verdicts: Sequence[Verdict], check: str | None) -> tuple
     return chosen, [name for name in names if name != chosen.check]
 
 
-# --- words: an explanation in words: short lines, each with one fact of the log
-
-
 _MOST_FAULTS, _MOST_GAPS, _MOST_VEHICLES, _MOST_LINKS, _MOST_HEARD, _MOST_DIFFER = 8, 8, 12, 6, 6, 8
 
 

@@ -53,6 +53,9 @@ def parallel_env(
             returns one number, or one for each agent. None: the first check that has a margin.
         resident: with `move="force"`, the scenario's own law runs along. `infos` have its action, the log its signals.
 
+    Returns:
+        The environment, before its first `reset`.
+
     Raises:
         FleetError: PettingZoo is not installed, or what is asked for does not fit the scenario.
         ScenarioError: with every mistake that was found.

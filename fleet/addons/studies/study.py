@@ -73,7 +73,11 @@ class Study:
 
     @property
     def missing(self) -> int:
-        """The number of runs that are still to be made, as far as it is known. Raises StudyError: it is damaged."""
+        """The number of runs that are still to be made, as far as it is known.
+
+        Raises:
+            StudyError: the study is damaged.
+        """
         return self._store.missing
 
     def to_pandas(self) -> pd.DataFrame:
@@ -112,7 +116,13 @@ class Study:
         return found
 
     def summary(self, *measures: str) -> list[PointSummary]:
-        """Of each point the pass rate and the medians of some measures, with intervals.
+        """The pass rate and the medians of some measures at each point, with 95 % intervals.
+
+        Args:
+            measures: names of measures, or signals such as `p95 |error.e|`.
+
+        Returns:
+            A row per point, in the order of the points.
 
         Raises:
             StudyError: there is no such measure, or the study is damaged.
@@ -126,6 +136,9 @@ class Study:
             key: that is varied.
             first, second: two of its values, as `to_pandas` has them.
             measure: `passed`, or the name of a measure; with `passed` a smaller one is a run that failed.
+
+        Returns:
+            The difference, second minus first, in the unit of the measure, with its interval.
 
         Raises:
             StudyError: there is no such key, value or measure.
@@ -185,6 +198,9 @@ class Study:
             out: the run's directory is made in this folder.
             trust: run modules, too, that are not installed.
 
+        Returns:
+            The result, whose directory has the log.
+
         Raises:
             StudyError: there is no such point.
             ScenarioError: a law of the scenario may not run.
@@ -208,6 +224,12 @@ class Study:
 
 def open_study(directory: str | Path) -> Study:
     """The study in a directory that `fleet sweep` made.
+
+    Args:
+        directory: the study's own one, which has `study.json`.
+
+    Returns:
+        The study, with the runs that were made.
 
     Raises:
         StudyError: there is none, it is damaged, or the extra `study` is not installed.
@@ -239,6 +261,9 @@ def sweep(
         trust: run modules, too, that are neither installed nor the user's own.
         progress: called several times a second.
         options: these.
+
+    Returns:
+        The study, when its runs are made.
 
     Raises:
         ScenarioError: with the mistakes of all points, or of the file of the study.
@@ -293,7 +318,11 @@ class Boundary:
 
     @property
     def borders(self) -> list[Border]:
-        """One per combination of the other axes. Raises StudyError."""
+        """One border per combination of the other axes.
+
+        Raises:
+            StudyError: the study is damaged.
+        """
         return self._borders.found()
 
     def write_picture(self, trust: bool = False, formats: Sequence[str] = ("png",)) -> Path:
@@ -339,6 +368,9 @@ def boundary(
         trust: run modules, too, that are neither installed nor the user's own.
         progress: called several times a second.
         options: these.
+
+    Returns:
+        The borders, when their runs are made.
 
     Raises:
         ScenarioError: with the mistakes of all points.

@@ -29,8 +29,8 @@ EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
         ("rosbags", "xxhash", "mcap_ros2", "pyzeros", "zenoh_ros2_sdk"),
         (
             "tests/addons/robots/ros2",
-            "tests/addons/robots/stack/test_messages.py",
-            "tests/addons/robots/stack/test_ros2.py",
+            "tests/addons/robots/test_message_log.py",
+            "tests/addons/robots/test_relay_ros2.py",
         ),
     ),
     "view": (

@@ -50,7 +50,7 @@ def netem(
       fleet inject partition 'auv1 / auv2,shore' --for 30s
       fleet netem stack.yaml --view
     """
-    from fleet.addons.robots.stack.run import RelayRun
+    from fleet.addons.robots.relay_run import RelayRun
     from fleet.analysis.robot_addresses import warnings
     from fleet.processes.children import start_forkserver
     from fleet.scenario.loading import load_scenario

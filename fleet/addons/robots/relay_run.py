@@ -18,7 +18,7 @@ from typing import Any
 import msgpack
 import msgspec
 
-from fleet.addons.robots.stack.messages import MessageLog, place_of
+from fleet.addons.robots.message_log import MessageLog, place_of
 from fleet.analysis.robot_addresses import lines
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock

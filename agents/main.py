@@ -23,6 +23,8 @@ from netem.wire.mailbox import Mailbox, end_with_link, read_map
 from netem.wire.session import quiet_zenoh
 from netem.wire.vehicle_bus import AgentEnd
 from world.errors import PluginError
+from world.plugins.loading import unit_file
+from world.plugins.trust import allow_file
 
 
 def run(
@@ -104,6 +106,8 @@ def begin_life(
 
 
 def _core(bus: Bus, keys: Keys, config: AgentConfig, begin: int) -> AgentCore:
+    if config.agent is not None and (file := unit_file("agent", config.agent.name)):
+        allow_file(config.agent.name, Path(file))  # the console, which has started this process, has let it run
     try:
         return make_agent(config)
     except (AgentError, PluginError) as error:

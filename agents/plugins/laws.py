@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -9,9 +10,11 @@ from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
 from agents.sample import Sample
 from agents.signals import COMMANDED, HEARD
+from world.errors import UntrustedError
 from world.plugins.checks import check_class, check_signals
 from world.plugins.fence import Fence, shown
-from world.plugins.loading import load_class
+from world.plugins.loading import file_class, load_class, unit_file
+from world.plugins.trust import permitted_file
 from world.signal import Signal
 from world.vectors import Vec3
 
@@ -69,7 +72,22 @@ def load(kind: str, law: Law) -> type[Any]:
         UntrustedError: the module is not installed, and `admit` has not allowed it.
         PluginError: the class does not exist, lacks a method, or does not take these parameters.
     """
+    if unit_file(kind, law.name):
+        made: type[Any] = file_class(kind, law.name, law.parameters)
+        _check(kind, law, made)
+        return made
     return load_class(kind, law.name, lambda law_class: _check(kind, law, law_class))
+
+
+def with_whole_path(law: Law) -> Law:
+    """The same law; one that is a file which may run is named by its whole path, for the process that will run it."""
+    if not unit_file("agent", law.name):
+        return law
+    try:
+        path = permitted_file("agent", law.name)
+    except UntrustedError:
+        return law
+    return replace(law, name=f"{law.name.partition(':')[0]}:{path}")
 
 
 def _check(kind: str, law: Law, law_class: Any) -> None:

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from math import nan
+from pathlib import Path
 from struct import Struct
 from typing import Protocol
 
@@ -62,7 +63,7 @@ from netem.relay import MessageFate
 from netem.vehicle_clock import Clock
 from netem.wire.messages import Command, Fate, Frame
 from world.plants.classes import plant_class
-from world.plugins.loading import fingerprint
+from world.plugins.loading import fingerprint, unit_file
 from world.signal import Signal
 
 # --- packets
@@ -348,6 +349,8 @@ def schema_name(config: AgentConfig, group: str) -> str:
     """The name of the message of a topic group, after the law that fills it."""
     running = laws(config)
     law = running.get({"guidance": "guidance", "control": "tracking"}[group]) or next(iter(running.values()))
+    if file := unit_file("agent", law.name):
+        return message_name(f"program {Path(file).stem}", group)  # not the path, which is another one elsewhere
     return message_name(law.name, group)
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from agents.config import AgentConfig, Law, Neighbour, Offset, OffsetChange
 from agents.controllers import BUILT_IN, laws, layout
+from agents.plugins.laws import with_whole_path
 from agents.signals import SignalLayout
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.parts import Parts
@@ -214,7 +215,7 @@ class Scenario:
             guidance_law=control.guidance_law,
             tracking_law=control.tracking_law,
             controller=control.controller,
-            agent=control.agent,
+            agent=control.agent and with_whole_path(control.agent),
             on_error=spec.on_controller_error,
             budget_s=spec.controller_budget / 1e9,
             codec=spec.network.payload,

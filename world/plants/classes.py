@@ -9,12 +9,11 @@ from typing import Any
 
 from world.errors import FmuError, PluginError, UntrustedError
 from world.plugins.checks import check_class, check_signals
-from world.plugins.loading import installed, load_class, unit_file
+from world.plugins.loading import file_class, load_class, unit_file
 from world.plugins.trust import permitted_file
 from world.signal import Signal
 
 KIND = "plant"
-FILES = "uuv_fleet.plant_files"  # the entry points that make the class of a plant from a file, by the word before it
 # The plants that ship: name -> `module:Class`. They are imported when a scenario names them.
 SHIPPED: dict[str, str] = {"bluerov2": "world.plants.bluerov2:BlueROV2", "remus100": "world.plants.remus100:Remus100"}
 METHODS: dict[str, tuple[str, ...]] = {
@@ -75,11 +74,8 @@ def signals_of(name: str, parameters: Mapping[str, Any]) -> tuple[Signal, ...]:
 
 
 def _unit_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:
-    maker = installed(FILES).get(name.partition(":")[0])
-    if maker is None:
-        raise PluginError(KIND, name, "nothing here reads such a file", f"install an entry point of group {FILES}")
     try:
-        return maker.load()(permitted_file(KIND, name), parameters)  # type: ignore[no-any-return]
+        return file_class(KIND, name, parameters)  # type: ignore[no-any-return]
     except FmuError as error:
         raise PluginError(KIND, name, error.problem, error.hint) from None
 

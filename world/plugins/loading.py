@@ -6,7 +6,7 @@ import hashlib
 import importlib
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from functools import cache
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from world.errors import PluginError
 from world.plugins.checks import article, place_of, shown_path, words_of
-from world.plugins.trust import ONLY_INSTALLED, Permission, permit, permit_file
+from world.plugins.trust import ONLY_INSTALLED, Permission, permit, permit_file, permitted_file
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -24,13 +24,38 @@ PLANTS = "uuv_fleet.plants"
 CHECKS = "uuv_fleet.checks"
 # The entry points of each kind of plug-in; those of laws share one group.
 GROUPS = {**dict.fromkeys(("controller", "guidance", "tracking", "agent"), LAWS), "plant": PLANTS, "check": CHECKS}
-_UNIT = "fmu:"  # what begins the name of a plant that is an FMU, before its file
+# What begins the name of a plug-in that is a file, and the entry points that make its class.
+_FILES = {"plant": ("fmu:", "uuv_fleet.plant_files"), "agent": ("program:", "uuv_fleet.agent_files")}
 _MAX_CLASSES = 8  # named in a hint
 
 
 def unit_file(kind: str, name: str) -> str:
-    """The file of a plant that is an FMU; "": the name is that of a class."""
-    return name.removeprefix(_UNIT) if kind == "plant" and name.startswith(_UNIT) else ""
+    """The file of a plug-in that is one, as a plant that is an FMU; "": the name is that of a class."""
+    begin = _FILES[kind][0] if kind in _FILES else ""
+    return name.removeprefix(begin) if begin and name.startswith(begin) else ""
+
+
+def file_class(kind: str, name: str, parameters: Mapping[str, Any]) -> Any:
+    """The class that is made of a file which may run.
+
+    Args:
+        kind: plant or agent.
+        name: the file behind its first word, as in `fmu:FILE`.
+        parameters: those that the scenario gives it.
+
+    Raises:
+        UntrustedError: the file may not run.
+        PluginError: nothing here reads such a file, or it cannot be used.
+    """
+    word, group = name.partition(":")[0], _FILES[kind][1]
+    maker = installed(group).get(word)
+    if maker is None:
+        raise PluginError(kind, name, "nothing here reads such a file", f"{word} is an entry point of group {group}")
+    try:
+        make = maker.load()
+    except ImportError as error:
+        raise PluginError(kind, name, f"what reads such a file does not load: {error}") from error
+    return make(permitted_file(kind, name), parameters)
 
 
 def load_class(kind: str, name: str, check: Callable[[Any], None]) -> type[Any]:

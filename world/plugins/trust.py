@@ -139,7 +139,7 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
     _own.update(dict.fromkeys(own))
     if not own:
         _need_trust(kind, name, (str(path),), str(path.parent), because)
-    _files[name] = path
+    _files[name] = _files[f"{name.partition(':')[0]}:{path}"] = path  # agents get the name with the whole path
 
 
 def permitted_file(kind: str, name: str) -> Path:

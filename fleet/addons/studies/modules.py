@@ -23,7 +23,7 @@ from fleet.scenario.scenario import Scenario
 from netem.private_folder import PrivateFolder
 from world.plants.classes import file_of, module_of
 from world.plugins.loading import unit_file
-from world.plugins.trust import ModulePlace, Permission, Trust, find, permit, trusting
+from world.plugins.trust import ModulePlace, Permission, Trust, find, permit, permitted_file, trusting
 
 MOST_BYTES = 4_000_000  # of all files that travel: they go with each batch of runs
 _writing = threading.Lock()
@@ -52,7 +52,7 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
         for scenario in scenarios
         for control in scenario.controls
         for kind, law in laws(control).items()
-        if law.name not in BUILT_IN[kind] and ":" in law.name  # others are entry points, which are installed
+        if law.name not in BUILT_IN[kind] and ":" in law.name and not unit_file(kind, law.name)
     }
     names |= {module for s in scenarios for name in s.plants if (module := module_of(name)) is not None}
     names |= {name.partition(":")[0] for scenario in scenarios for name in scenario.spec.checks.python or ()}
@@ -64,6 +64,12 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
         for s in scenarios
         for name in s.plants
         if (unit := unit_file("plant", name)) and (file := file_of(name))
+    }
+    units |= {
+        unit: permitted_file("agent", law.name)
+        for s in scenarios
+        for control in s.controls
+        if (law := control.agent) is not None and (unit := unit_file("agent", law.name))
     }
     files = tuple(dict.fromkeys([*(file for place in own.values() for file in place.files), *map(str, units.values())]))
     digests = tuple(hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files)

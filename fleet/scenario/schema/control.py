@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, PlainSerializer
+from pydantic import BeforeValidator, PlainSerializer, model_validator
 
 from agents.config import Angles, Astern, Cost, Extrapolation, Method, Solver
 from fleet.scenario import value_types as v
@@ -143,6 +143,17 @@ class AgentSection(Section):
     parameters: dict[str, Any] | None = None
     clock: ClockSection | None = None
     localization: Annotated[LocalizationSection | None, word_for("method")] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_program(cls, value: Any) -> Any:
+        """`{program: FILE, ...}` is the law `program:FILE`, with all else as its parameters."""
+        if not isinstance(value, dict) or "program" not in value:
+            return value
+        own = {key: each for key, each in value.items() if key in cls.model_fields}
+        more = {key: each for key, each in value.items() if key not in {*own, "program"}}
+        parameters = (own.get("parameters") or {}) | more
+        return own | {"law": f"program:{value['program']}"} | ({"parameters": parameters} if parameters else {})
 
 
 def _show_agent(section: AgentSection | None) -> Any:

@@ -1,0 +1,219 @@
+"""A program as an agent: its turns are ticks, and what it sends are payloads of the rounds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from random import Random
+from types import ModuleType
+from typing import Any, ClassVar
+
+import msgpack
+
+from agents.api import AgentConfig, Delivery, Nav, Signal, Telemetry, Vec3
+from fleet.addons.programs import standard
+from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, socket_module
+from fleet.addons.programs.event_loop import asyncio_module
+from fleet.addons.programs.import_space import ImportSpace
+from fleet.addons.programs.threads import thread_module, threading_module
+from fleet.addons.programs.turns import NS, Turns
+from fleet.addons.programs.zenoh_session import TOKEN, Zenoh, zenoh_module
+from world.errors import PluginError
+
+ZENOH, DATAGRAM = "z", "u"  # the first word of a payload
+TOKENS_NS = 500_000_000  # how often tokens are told again
+NOTHING_YET = -1.0  # a signal before the program has printed a line of it
+_PARAMETERS = ("arguments", "signals", "addresses", "order", "cost", "shared")
+
+
+class ProgramFailed(Exception):
+    """A program raised something, or ended with a status."""
+
+
+@dataclass(frozen=True, slots=True)
+class LineSignal:
+    """A signal that the lines of a program tell."""
+
+    name: str
+    pattern: re.Pattern[str]
+
+    def read(self, line: str) -> float | None:
+        """The value in a line; None: the line is another one."""
+        found = self.pattern.search(line)
+        try:
+            return None if found is None else float(found["value"])
+        except ValueError:
+            return None
+
+
+def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProgramAgent]:
+    """The agent that a program makes with some parameters. Nothing of it runs yet.
+
+    Args:
+        path: the program, a file of Python.
+        parameters: `arguments`, `signals`, `addresses`, `order`, `cost` and `shared`, as the guide says.
+
+    Raises:
+        PluginError: there is no such parameter, or one has no meaning.
+    """
+    if unknown := sorted(parameters.keys() - {*_PARAMETERS}):
+        raise _wrong(path, f"there is no key {unknown[0]!r}", f"known: {', '.join(_PARAMETERS)}")
+    lines = tuple(_line_signal(path, name, about) for name, about in dict(parameters.get("signals") or {}).items())
+    if parameters.get("order", "ready") not in ("ready", "seeded"):
+        raise _wrong(path, f"order: expected ready or seeded, got {parameters['order']!r}")
+
+    class Program(ProgramAgent):
+        plugin_file = path
+        reads = lines
+        signals = tuple(Signal(each.name, "1", "as the program printed it last; -1 before") for each in lines)
+
+    return Program
+
+
+def _wrong(path: Path, problem: str, hint: str = "") -> PluginError:
+    return PluginError("agent", f"program:{path.name}", problem, hint)
+
+
+def _line_signal(path: Path, name: str, about: Any) -> LineSignal:
+    text = about.get("line") if isinstance(about, Mapping) else about
+    try:
+        pattern = re.compile(str(text))
+    except re.error as error:
+        raise _wrong(path, f"signals.{name}.line is no regular expression: {error}") from None
+    if "value" not in pattern.groupindex:
+        raise _wrong(path, f"signals.{name}.line names no group", "write (?P<value>...) round the number")
+    return LineSignal(name, pattern)
+
+
+class ProgramAgent:
+    """One life of a program."""
+
+    plugin_file: ClassVar[Path]
+    reads: ClassVar[tuple[LineSignal, ...]]
+    signals: ClassVar[tuple[Signal, ...]]
+
+    def __init__(
+        self,
+        config: AgentConfig,
+        arguments: Sequence[Any] = (),
+        signals: Any = None,
+        addresses: Mapping[str, int] | None = None,
+        order: str = "ready",
+        cost: float = 0.0,
+        shared: Sequence[str] = (),
+    ) -> None:
+        """Prepare the program; its first turn is the agent's first tick.
+
+        Args:
+            config: the agent's slice.
+            arguments: of the command line; `{id}` and `{seed}` stand for the agent's number and the run's seed.
+            signals: read by `program_class`.
+            addresses: agents by `HOST:PORT` or `HOST`.
+            order: of callbacks of asyncio that are ready at the same time: `ready` or `seeded`.
+            cost: time that a turn takes [s].
+            shared: packages that all programs of this process share.
+        """
+        self._config, self._order, self._shared = config, order, shared
+        self._arguments = [str(each).format(id=config.id, seed=config.seed) for each in arguments]
+        self._cost_ns, self._busy_until_ns = round(cost * NS), 0
+        self._values = {each.name: NOTHING_YET for each in self.reads}
+        self._out: list[bytes] = []
+        self._turns = Turns()
+        self._book = AddressBook(config.id, addresses or {})
+        self._datagrams = Datagrams(self._turns, self._book, self._send_datagram)
+        hears = frozenset(each.id for each in config.neighbours)
+        self._zenoh = Zenoh(self._turns, config.id, hears, self._send_zenoh)
+        self._tokens_ns = 0
+        self._begun = False
+        self._output = standard.Output(self._print)
+
+    def _begin(self, tick: int) -> None:
+        chance = Random(f"{self._config.seed}/{self._config.id}/{tick}")
+        turns, output = self._turns, self._output
+        stand_ins: dict[str, Any] = {
+            "time": partial(standard.time_module, turns),
+            "datetime": partial(standard.datetime_module, turns),
+            "os": partial(standard.os_module, chance, self._config.id),
+            "signal": standard.signal_module,
+            "threading": partial(threading_module, turns, output.write),
+            "socket": partial(socket_module, self._datagrams),
+            "asyncio": partial(
+                asyncio_module, turns, self._datagrams, Random(chance.random()) if self._order == "seeded" else None
+            ),
+            "zenoh": partial(zenoh_module, self._zenoh),
+        }
+        space = ImportSpace(
+            self.plugin_file.parent, stand_ins, standard.REFUSED, {"print": standard.print_to(output)}, self._shared
+        )
+        stand_ins["sys"] = partial(
+            standard.sys_module, [str(self.plugin_file), *self._arguments], space.every_module, space.path, output
+        )
+        stand_ins["_thread"] = lambda: thread_module(space.load("threading"))
+        stand_ins["random"] = partial(_random, space, stand_ins, chance)
+        stand_ins["zenoh.handlers"] = lambda: space.load("zenoh").handlers
+        turns.start(partial(self._run, space))
+
+    def _run(self, space: ImportSpace) -> None:
+        try:
+            space.run(self.plugin_file)
+        except SystemExit as end:
+            if end.code not in (None, 0):
+                raise ProgramFailed(f"ended with {end.code!r:.200}") from None
+
+    def _print(self, line: str) -> None:
+        for each in self.reads:
+            if (value := each.read(line)) is not None:
+                self._values[each.name] = value
+        print(f"{self._turns.now_ns / NS:.3f} {line}")
+
+    def _send_datagram(self, agent: int, port: int, to_port: int, data: bytes) -> None:
+        self._out.append(msgpack.packb([DATAGRAM, agent, port, to_port, data]))
+
+    def _send_zenoh(self, message: list[Any]) -> None:
+        self._out.append(msgpack.packb([ZENOH, message]))
+
+    def transmit(self, nav: Nav) -> Sequence[bytes]:
+        """What the program has sent since the last round."""
+        if self._zenoh.tokens and self._turns.now_ns >= self._tokens_ns:
+            self._tokens_ns = self._turns.now_ns + TOKENS_NS
+            for token in self._zenoh.tokens:
+                self._send_zenoh([TOKEN, token.key])
+        out, self._out = self._out, []
+        return out
+
+    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
+        """Hand over what has come, and let the program run until it waits."""
+        now_ns = nav.tick * self._config.tick_ns
+        self._turns.now_ns = now_ns
+        if not self._begun:
+            self._begun = True
+            self._begin(nav.tick)
+        for delivery in deliveries:
+            self._hear(delivery)
+        if now_ns >= self._busy_until_ns:
+            self._turns.advance(now_ns)
+            self._busy_until_ns = now_ns + self._cost_ns
+        return (0.0, 0.0, 0.0), self._values
+
+    def _hear(self, delivery: Delivery) -> None:
+        try:
+            kind, *message = msgpack.unpackb(delivery.payload)
+        except (ValueError, TypeError, msgpack.UnpackException):
+            return  # damaged on the way, as a checksum of UDP would tell
+        if kind == DATAGRAM:
+            agent, port, to_port, data = message
+            if agent in (EVERYBODY, self._config.id):
+                self._datagrams.hear(delivery.src, port, to_port, data)
+        elif kind == ZENOH:
+            self._zenoh.hear(delivery.src, message[0])
+
+
+def _random(space: ImportSpace, stand_ins: dict[str, Any], chance: Random) -> ModuleType:
+    make = stand_ins.pop("random")
+    try:
+        return standard.random_module(space.load("random"), chance)
+    finally:
+        stand_ins["random"] = make

@@ -1,0 +1,138 @@
+"""The threads of one program, which take turns: one order, in simulated time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from heapq import heappop, heappush
+from itertools import count
+from typing import Any
+
+from greenlet import GreenletExit, getcurrent, greenlet
+
+NS = 10**9
+
+
+class Waiters:
+    """Threads that wait for one thing, the first one first."""
+
+    def __init__(self, turns: Turns) -> None:
+        self._turns = turns
+        self._threads: deque[ProgramThread] = deque()
+
+    def wait(self, until_ns: int | None = None) -> bool:
+        """Let the thread whose turn it is wait. Returns whether it was woken before its time had come."""
+        thread = self._turns.current
+        assert thread is not None, "something of a program is used outside of its turn"
+        self._threads.append(thread)
+        if self._turns.wait(until_ns):
+            return True
+        if thread in self._threads:
+            self._threads.remove(thread)
+        return False
+
+    def wake(self, most: int | None = None) -> int:
+        """Wake so many of them, or all. Returns how many there were."""
+        woken = 0
+        while self._threads and woken != most:
+            woken += self._turns.wake(self._threads.popleft())
+        return woken
+
+
+class ProgramThread:
+    """One thread of a program. Only one runs at a time, and only a wait gives the turn to another one."""
+
+    def __init__(self, ident: int, call: Callable[[], object]) -> None:
+        self.ident = ident
+        self.task = greenlet(call)
+        self.waits = 0  # how often it has waited, so that an old alarm wakes no later wait
+        self.waiting = False
+        self.woken = False  # by somebody; else its time has come
+
+
+class Turns:
+    """The threads of a program, and its clock.
+
+    Attributes:
+        now_ns: the time of the program's clock, from the beginning of the run.
+        over: the program was ended; nothing that it still does has an effect.
+    """
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+        self.over = False
+        self.current: ProgramThread | None = None
+        self._hub: greenlet | None = None
+        self._idents = count(1)
+        self._order = count()
+        self._ready: deque[ProgramThread] = deque()
+        self._alarms: list[tuple[int, int, ProgramThread, int]] = []
+
+    def start(self, call: Callable[[], object]) -> ProgramThread:
+        """A new thread, whose first turn comes after those that are ready."""
+        thread = ProgramThread(next(self._idents), call)
+        self._ready.append(thread)
+        return thread
+
+    def wait(self, until_ns: int | None = None) -> bool:
+        """Give the turn away.
+
+        Args:
+            until_ns: when the thread goes on at the latest; None: only if somebody wakes it.
+
+        Returns:
+            Whether somebody woke it before the time had come.
+        """
+        thread = self.current
+        if thread is None or self.over:
+            raise GreenletExit  # the program was ended, or its module is used from outside of it
+        thread.waits += 1
+        thread.waiting, thread.woken = True, False
+        if until_ns is not None:
+            heappush(self._alarms, (until_ns, next(self._order), thread, thread.waits))
+        assert self._hub is not None
+        self._hub.switch()
+        if self.over:
+            raise GreenletExit
+        return thread.woken
+
+    def wake(self, thread: ProgramThread) -> bool:
+        """Let a thread that waits go on, after those that are ready. False: it waits no more, its time has come."""
+        if not thread.waiting:
+            return False
+        thread.waiting, thread.woken = False, True
+        self._ready.append(thread)
+        return True
+
+    def advance(self, now_ns: int) -> None:
+        """Let all threads run that can at a time, until each waits. What one of them raises passes on."""
+        self.now_ns, self._hub = now_ns, getcurrent()
+        while True:
+            while self._alarms and self._alarms[0][0] <= now_ns:
+                _, _, thread, number = heappop(self._alarms)
+                if thread.waiting and thread.waits == number:
+                    thread.waiting = False
+                    self._ready.append(thread)
+            if not self._ready:
+                return
+            thread = self._ready.popleft()
+            self.current, thread.task.parent = thread, self._hub
+            try:
+                thread.task.switch()
+            finally:
+                self.current = None
+
+    @property
+    def idle(self) -> bool:
+        """Whether no thread will ever run again by itself."""
+        return not self._ready and not any(each.waiting and each.waits == n for _, _, each, n in self._alarms)
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Let a thread of its own call a function of the program, as a library's thread would."""
+        self.start(lambda: function(*arguments))
+
+    def end(self) -> None:
+        """End the program: no thread of it has a turn again."""
+        self.over = True
+        self._ready.clear()
+        self._alarms.clear()

@@ -1,0 +1,648 @@
+"""What stands in for zenoh: sessions whose messages are payloads of the agents, with zenoh's own rules for keys."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from enum import Enum
+from itertools import count
+from types import ModuleType
+from typing import Any
+
+from fleet.addons.programs.turns import NS, Turns, Waiters
+from netem.wire.key_expressions import KeyExpression, intersects, key_expression
+
+PUT, DELETE, QUERY, REPLY, FINAL, TOKEN, UNTOKEN = range(7)
+QUERY_TIMEOUT_S = 10.0  # zenoh's own: queries_default_timeout
+Send = Callable[[list[Any]], None]
+
+
+class ZenohError(Exception):
+    """As zenoh's."""
+
+
+class SampleKind(Enum):
+    """What a sample says."""
+
+    PUT = "PUT"
+    DELETE = "DELETE"
+
+
+class Priority(Enum):
+    """Taken and not used: an agent's payloads have one order."""
+
+    REAL_TIME, INTERACTIVE_HIGH, INTERACTIVE_LOW, DATA_HIGH, DATA, DATA_LOW, BACKGROUND = range(1, 8)
+    DEFAULT = DATA
+
+
+class CongestionControl(Enum):
+    """Taken and not used."""
+
+    DROP = 0
+    BLOCK = 1
+    DEFAULT = DROP
+
+
+class Reliability(Enum):
+    """Taken and not used."""
+
+    BEST_EFFORT = 0
+    RELIABLE = 1
+
+
+class QueryTarget(Enum):
+    """Taken and not used: all that match answer."""
+
+    BEST_MATCHING, ALL, ALL_COMPLETE = range(3)
+    DEFAULT = BEST_MATCHING
+
+
+class ConsolidationMode(Enum):
+    """Taken and not used: each reply is handed over."""
+
+    AUTO, NONE, MONOTONIC, LATEST = range(4)
+    DEFAULT = AUTO
+
+
+class Encoding:
+    """The name of a form of payloads."""
+
+    def __init__(self, text: str = "zenoh/bytes") -> None:
+        self._text = text
+
+    def __str__(self) -> str:
+        return self._text
+
+    def __eq__(self, other: object) -> bool:
+        return str(self) == str(other)
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+    def with_schema(self, schema: str) -> Encoding:
+        """The same with the name of a schema."""
+        return Encoding(f"{self._text};{schema}")
+
+
+for _name in ("ZENOH_BYTES", "ZENOH_STRING", "APPLICATION_JSON", "APPLICATION_CBOR", "APPLICATION_PROTOBUF",
+              "APPLICATION_OCTET_STREAM", "TEXT_PLAIN", "TEXT_JSON", "APPLICATION_CDR"):  # fmt: skip
+    setattr(Encoding, _name, Encoding(_name.lower().replace("_", "/", 1).replace("_", "-")))
+
+
+class ZBytes:
+    """Bytes, as zenoh gives them."""
+
+    def __init__(self, data: Any = b"") -> None:
+        self._data: bytes = data.encode() if isinstance(data, str) else bytes(data)
+
+    def to_bytes(self) -> bytes:
+        """The bytes."""
+        return self._data
+
+    def to_string(self) -> str:
+        """As UTF-8 text. Raises UnicodeDecodeError."""
+        return self._data.decode()
+
+    def __bytes__(self) -> bytes:
+        return self._data
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def __bool__(self) -> bool:
+        return bool(self._data)
+
+    def __eq__(self, other: object) -> bool:
+        return self._data == (other._data if isinstance(other, ZBytes) else other)
+
+    def __hash__(self) -> int:
+        return hash(self._data)
+
+
+class Sample:
+    """A message that has come."""
+
+    def __init__(self, key: str, data: bytes, kind: SampleKind, encoding: str, attachment: bytes | None) -> None:
+        self.key_expr, self.payload, self.kind = key_expression(key), ZBytes(data), kind
+        self.encoding = Encoding(encoding)
+        self.attachment = None if attachment is None else ZBytes(attachment)
+        self.timestamp, self.priority, self.congestion_control = None, Priority.DATA, CongestionControl.DROP
+        self.express = False
+
+
+class Reply:
+    """An answer to a query: a sample, or an error."""
+
+    def __init__(self, ok: Sample | None, err: ReplyError | None = None) -> None:
+        self._ok, self.err = ok, err
+
+    @property
+    def ok(self) -> Any:
+        """The sample; None: it is an error."""
+        return self._ok
+
+    @property
+    def result(self) -> Any:
+        """The sample or the error."""
+        return self._ok or self.err
+
+
+class ReplyError:
+    """What a queryable said in place of an answer."""
+
+    def __init__(self, data: bytes, encoding: str) -> None:
+        self.payload, self.encoding = ZBytes(data), Encoding(encoding)
+
+
+class Channel:
+    """What has come and waits to be taken."""
+
+    def __init__(self, turns: Turns, most: int, *, ring: bool) -> None:
+        self._most, self._ring = most, ring
+        self._items: deque[Any] = deque()
+        self._waiting = Waiters(turns)
+        self.closed = False
+
+    def put(self, item: Any) -> None:
+        """Take one more. A ring forgets the oldest one, and a FIFO that is full the new one."""
+        if len(self._items) >= self._most:
+            if not self._ring:
+                return
+            self._items.popleft()
+        self._items.append(item)
+        self._waiting.wake(1)
+
+    def close(self) -> None:
+        """Nothing more will come."""
+        self.closed = True
+        self._waiting.wake()
+
+    def recv(self) -> Any:
+        """The next one; waits for it. Raises ZenohError: nothing more will come."""
+        while not self._items:
+            if self.closed:
+                raise ZenohError("the channel is closed")
+            self._waiting.wait()
+        return self._items.popleft()
+
+    def try_recv(self) -> Any:
+        """The next one; None: there is none now."""
+        return self._items.popleft() if self._items else None
+
+    def __iter__(self) -> Iterator[Any]:
+        return self
+
+    def __next__(self) -> Any:
+        try:
+            return self.recv()
+        except ZenohError:
+            raise StopIteration from None
+
+
+class FifoChannel:
+    """A handler: a queue of so many."""
+
+    ring = False
+
+    def __init__(self, capacity: int = 256) -> None:
+        self.capacity = capacity
+
+
+class RingChannel(FifoChannel):
+    """A handler: a queue of the newest."""
+
+    ring = True
+
+
+class Callback:
+    """A handler: a function, and what is called at the end."""
+
+    def __init__(
+        self, call: Callable[[Any], Any], drop: Callable[[], Any] | None = None, indirect: bool = True
+    ) -> None:
+        self.call, self.drop = call, drop
+
+
+class Config:
+    """Taken and not used: programs meet through the emulated network."""
+
+    def insert_json5(self, key: str, value: str) -> None:
+        """Take a setting."""
+
+    def get_json(self, key: str) -> str:
+        """Nothing is known."""
+        return "null"
+
+    @classmethod
+    def from_file(cls, path: Any) -> Config:
+        """Take a file."""
+        return cls()
+
+    from_json5 = from_env = from_file
+
+
+class Zenoh:
+    """The sessions of one program, and what comes for them."""
+
+    def __init__(self, turns: Turns, number: int, hears: frozenset[int], send: Send) -> None:
+        """Have no session yet.
+
+        Args:
+            turns: the program's threads.
+            number: of the agent.
+            hears: the agents that it hears, whose answers a query waits for.
+            send: takes a message for all that hear this agent.
+        """
+        self.turns, self.number, self.hears, self.send = turns, number, hears, send
+        self.subscribers: list[Subscriber] = []
+        self.queryables: list[Queryable] = []
+        self.tokens: list[Token] = []
+        self.watchers: list[Watcher] = []
+        self.queries: dict[int, PendingQuery] = {}
+        self.numbers = count(1)
+
+    def put(self, kind: int, key: str, data: bytes, encoding: str, attachment: bytes | None) -> None:
+        """A message of this program: for its own subscribers, too."""
+        message = [kind, key, data, encoding, attachment]
+        self._deliver(message)
+        self.send(message)
+
+    def hear(self, src: int, message: list[Any]) -> None:
+        """A message of another agent has come."""
+        kind = message[0]
+        if kind in (PUT, DELETE):
+            self._deliver(message)
+        elif kind == QUERY:
+            self._answer(src, message)
+        elif kind == REPLY:
+            _, to, number, key, data, encoding, attachment, failed = message
+            if to == self.number and number in self.queries:
+                sample = Sample(key, data, SampleKind.PUT, encoding, attachment)
+                self.queries[number].take(Reply(None, ReplyError(data, encoding)) if failed else Reply(sample))
+        elif kind == FINAL:
+            _, to, number = message
+            if to == self.number and number in self.queries:
+                self.queries[number].answered(src)
+        elif kind in (TOKEN, UNTOKEN):
+            for watcher in self.watchers:
+                watcher.hear(src, message[1], alive=kind == TOKEN)
+
+    def _deliver(self, message: list[Any]) -> None:
+        kind, key, data, encoding, attachment = message
+        for each in [*self.subscribers]:
+            if intersects(each.key_expr, key):
+                what = SampleKind.PUT if kind == PUT else SampleKind.DELETE
+                each.take(Sample(key, data, what, encoding, attachment))
+
+    def _answer(self, src: int, message: list[Any]) -> None:
+        _, number, selector, payload, encoding, attachment = message
+        found = [each for each in self.queryables if intersects(each.key_expr, selector.partition("?")[0])]
+        left = len(found)
+
+        def done() -> None:
+            nonlocal left
+            left -= 1
+            if left <= 0:
+                self.reply(src, [FINAL, src, number])
+
+        for each in found:
+            each.take(Query(self, src, number, selector, payload, encoding, attachment, done))
+        if not found:
+            done()
+
+    def reply(self, to: int, message: list[Any]) -> None:
+        """Send a reply or the end of the replies; to this program itself it comes at once."""
+        if to == self.number:
+            self.hear(self.number, message)
+        else:
+            self.send(message)
+
+    def handler(self, handler: Any, default: int = 256) -> tuple[Callable[[Any], None], Any, Callable[[], None]]:
+        """How a declaration hands over what comes: what takes it, the channel or None, and what ends it."""
+        if handler is None:
+            handler = FifoChannel(default)
+        if isinstance(handler, FifoChannel):
+            channel = Channel(self.turns, handler.capacity, ring=handler.ring)
+            return channel.put, channel, channel.close
+        if isinstance(handler, tuple):
+            call, drop = handler[0], None
+        else:
+            call, drop = (handler.call, handler.drop) if isinstance(handler, Callback) else (handler, None)
+        return lambda item: self.turns.call(call, item), None, drop or (lambda: None)
+
+
+class Declaration:
+    """Something that a session has declared."""
+
+    def __init__(self, zenoh: Zenoh, key: Any, handler: Any, among: list[Any]) -> None:
+        self.key_expr: KeyExpression = key_expression(str(key))
+        self._among = among
+        self.take, self.handler, self._end = zenoh.handler(handler)
+        among.append(self)
+
+    def undeclare(self) -> None:
+        """End it."""
+        if self in self._among:
+            self._among.remove(self)
+            self._end()
+
+    def recv(self) -> Any:
+        """The next that has come; waits for it."""
+        return self.handler.recv()
+
+    def try_recv(self) -> Any:
+        """The next that has come; None: there is none."""
+        return self.handler.try_recv()
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.handler)
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.undeclare()
+
+
+class Subscriber(Declaration):
+    """Hears samples."""
+
+
+class Queryable(Declaration):
+    """Answers queries."""
+
+
+class Watcher(Declaration):
+    """Hears of tokens that come and go."""
+
+    def __init__(self, zenoh: Zenoh, key: Any, handler: Any) -> None:
+        super().__init__(zenoh, key, handler, zenoh.watchers)
+        self._alive: set[tuple[int, str]] = set()
+
+    def hear(self, src: int, key: str, *, alive: bool) -> None:
+        """A token is there, or is gone."""
+        if intersects(self.key_expr, key) and ((src, key) in self._alive) != alive:
+            (self._alive.add if alive else self._alive.discard)((src, key))
+            self.take(Sample(key, b"", SampleKind.PUT if alive else SampleKind.DELETE, "zenoh/bytes", None))
+
+
+class Token:
+    """A token of liveliness, told again and again, since the water may lose it."""
+
+    def __init__(self, zenoh: Zenoh, key: str) -> None:
+        self._zenoh, self.key = zenoh, key
+        zenoh.tokens.append(self)
+        zenoh.hear(zenoh.number, [TOKEN, key])
+        zenoh.send([TOKEN, key])
+
+    def undeclare(self) -> None:
+        """It is gone."""
+        if self in self._zenoh.tokens:
+            self._zenoh.tokens.remove(self)
+            self._zenoh.hear(self._zenoh.number, [UNTOKEN, self.key])
+            self._zenoh.send([UNTOKEN, self.key])
+
+
+class Query:
+    """A question that has come."""
+
+    def __init__(
+        self, zenoh: Zenoh, src: int, number: int, selector: str, payload: bytes | None, encoding: str,
+        attachment: bytes | None, done: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self._zenoh, self._src, self._number, self._done = zenoh, src, number, done
+        key, _, self.parameters = selector.partition("?")
+        self.key_expr, self.selector = key_expression(key), selector
+        self.payload = None if payload is None else ZBytes(payload)
+        self.encoding = Encoding(encoding)
+        self.attachment = None if attachment is None else ZBytes(attachment)
+        self._over = False
+
+    def reply(self, key: Any, payload: Any, *, encoding: Any = None, attachment: Any = None, **_: Any) -> None:
+        """Answer with a sample."""
+        data, more = ZBytes(payload).to_bytes(), None if attachment is None else ZBytes(attachment).to_bytes()
+        message = [REPLY, self._src, self._number, str(key), data, str(encoding or "zenoh/bytes"), more, False]
+        self._zenoh.reply(self._src, message)
+
+    def reply_err(self, payload: Any, *, encoding: Any = None) -> None:
+        """Answer with an error."""
+        data = ZBytes(payload).to_bytes()
+        message = [REPLY, self._src, self._number, "error", data, str(encoding or "zenoh/bytes"), None, True]
+        self._zenoh.reply(self._src, message)
+
+    def drop(self) -> None:
+        """No more replies come."""
+        if not self._over:
+            self._over = True
+            self._done()
+
+    def __enter__(self) -> Query:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.drop()
+
+    def __del__(self) -> None:
+        if not self._zenoh.turns.over:
+            self.drop()
+
+
+class PendingQuery:
+    """A question of this program, until all that it hears have answered, or its time is over."""
+
+    def __init__(self, zenoh: Zenoh, number: int, handler: Any, timeout_s: float) -> None:
+        self._zenoh, self._number, self._left = zenoh, number, {*zenoh.hears, zenoh.number}
+        self.take, self.channel, self._end = zenoh.handler(handler)
+        zenoh.queries[number] = self
+        zenoh.turns.start(lambda: self._expire(zenoh.turns.now_ns + round(timeout_s * NS)))
+
+    def _expire(self, at_ns: int) -> None:
+        self._zenoh.turns.wait(at_ns)
+        self.close()
+
+    def answered(self, src: int) -> None:
+        """An agent has no more replies."""
+        self._left.discard(src)
+        if not self._left:
+            self.close()
+
+    def close(self) -> None:
+        """No more replies are taken."""
+        if self._zenoh.queries.pop(self._number, None) is not None:
+            self._end()
+
+
+class Publisher:
+    """Puts on one key."""
+
+    def __init__(self, zenoh: Zenoh, key: str, encoding: Any) -> None:
+        self._zenoh, self._encoding = zenoh, encoding
+        self.key_expr = key_expression(key)
+
+    def put(self, payload: Any, *, encoding: Any = None, attachment: Any = None, **_: Any) -> None:
+        """Send a sample."""
+        _put(self._zenoh, PUT, str(self.key_expr), payload, encoding or self._encoding, attachment)
+
+    def delete(self, *, attachment: Any = None, **_: Any) -> None:
+        """Say that the key has no value any more."""
+        _put(self._zenoh, DELETE, str(self.key_expr), b"", None, attachment)
+
+    def undeclare(self) -> None:
+        """End it."""
+
+    def __enter__(self) -> Publisher:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+def _put(zenoh: Zenoh, kind: int, key: Any, payload: Any, encoding: Any, attachment: Any) -> None:
+    more = None if attachment is None else ZBytes(attachment).to_bytes()
+    zenoh.put(kind, str(key_expression(str(key))), ZBytes(payload).to_bytes(), str(encoding or "zenoh/bytes"), more)
+
+
+class Querier:
+    """Asks on one key."""
+
+    def __init__(self, session: Session, key: Any, about: dict[str, Any]) -> None:
+        self._session, self.key_expr, self._about = session, key_expression(str(key)), about
+
+    def get(self, handler: Any = None, *, parameters: str = "", **about: Any) -> Any:
+        """Ask."""
+        selector = f"{self.key_expr}?{parameters}" if parameters else str(self.key_expr)
+        return self._session.get(selector, handler, **(self._about | about))
+
+    def undeclare(self) -> None:
+        """End it."""
+
+
+class Liveliness:
+    """Tokens that say who is there."""
+
+    def __init__(self, zenoh: Zenoh) -> None:
+        self._zenoh = zenoh
+
+    def declare_token(self, key: Any) -> Token:
+        """Be there."""
+        return Token(self._zenoh, str(key_expression(str(key))))
+
+    def declare_subscriber(self, key: Any, handler: Any = None, *, history: bool = False) -> Watcher:
+        """Hear of tokens. Those that are there already come as they are told again."""
+        return Watcher(self._zenoh, key, handler)
+
+
+class SessionInfo:
+    """Who a session is."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+
+    def zid(self) -> str:
+        """Its identity."""
+        return f"{self._number:x}"
+
+
+class Session:
+    """A session of a program."""
+
+    def __init__(self, zenoh: Zenoh) -> None:
+        self._zenoh, self._declared = zenoh, list[Any]()
+        self._closed = False
+        self.info = SessionInfo(zenoh.number)
+
+    def put(self, key: Any, payload: Any, *, encoding: Any = None, attachment: Any = None, **_: Any) -> None:
+        """Send a sample."""
+        _put(self._zenoh, PUT, key, payload, encoding, attachment)
+
+    def delete(self, key: Any, *, attachment: Any = None, **_: Any) -> None:
+        """Say that a key has no value any more."""
+        _put(self._zenoh, DELETE, key, b"", None, attachment)
+
+    def get(
+        self, selector: Any, handler: Any = None, *, payload: Any = None, encoding: Any = None, attachment: Any = None,
+        timeout: float | None = None, **_: Any,
+    ) -> Any:  # fmt: skip
+        """Ask all queryables that match, of this program and of the agents that it reaches.
+
+        Replies end when all agents that it hears have answered, or after the timeout [s].
+        """
+        zenoh, number = self._zenoh, next(self._zenoh.numbers)
+        asked = PendingQuery(zenoh, number, handler, QUERY_TIMEOUT_S if timeout is None else timeout)
+        key, mark, more = str(selector).partition("?")
+        data = None if payload is None else ZBytes(payload).to_bytes()
+        about = None if attachment is None else ZBytes(attachment).to_bytes()
+        message = [QUERY, number, f"{key_expression(key)}{mark}{more}", data, str(encoding or "zenoh/bytes"), about]
+        zenoh.send(message)
+        zenoh.hear(zenoh.number, message)
+        return asked.channel
+
+    def declare_publisher(self, key: Any, *, encoding: Any = None, **_: Any) -> Publisher:
+        """A publisher of a key."""
+        return Publisher(self._zenoh, str(key), encoding)
+
+    def declare_subscriber(self, key: Any, handler: Any = None, **_: Any) -> Subscriber:
+        """A subscriber; the handler is a function, a channel, or left out for a FIFO."""
+        self._declared.append(made := Subscriber(self._zenoh, key, handler, self._zenoh.subscribers))
+        return made
+
+    def declare_queryable(self, key: Any, handler: Any = None, **_: Any) -> Queryable:
+        """A queryable."""
+        self._declared.append(made := Queryable(self._zenoh, key, handler, self._zenoh.queryables))
+        return made
+
+    def declare_querier(self, key: Any, **about: Any) -> Querier:
+        """A querier of a key."""
+        return Querier(self, key, {key: value for key, value in about.items() if key == "timeout"})
+
+    def declare_keyexpr(self, key: Any) -> KeyExpression:
+        """The key itself."""
+        return key_expression(str(key))
+
+    def liveliness(self) -> Liveliness:
+        """Its tokens."""
+        return Liveliness(self._zenoh)
+
+    def zid(self) -> str:
+        """Its identity."""
+        return self.info.zid()
+
+    def is_closed(self) -> bool:
+        """Whether it was closed."""
+        return self._closed
+
+    def close(self) -> None:
+        """End all that it has declared."""
+        self._closed = True
+        for each in self._declared:
+            each.undeclare()
+        for token in [*self._zenoh.tokens]:
+            token.undeclare()
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def zenoh_module(zenoh: Zenoh) -> ModuleType:
+    """The module `zenoh` of one program."""
+
+    def __getattr__(name: str) -> Any:  # noqa: N807
+        raise AttributeError(f"zenoh.{name} is not there in lockstep; fleet netem runs the program with zenoh itself")
+
+    handlers = ModuleType("zenoh.handlers")
+    vars(handlers).update(
+        FifoChannel=FifoChannel, RingChannel=RingChannel, Callback=Callback, DefaultHandler=FifoChannel
+    )
+    made = ModuleType("zenoh")
+    kinds = (Config, Session, Sample, SampleKind, Priority, CongestionControl, Reliability, QueryTarget, Encoding,
+             ConsolidationMode, ZBytes, Reply, ReplyError, Query, Queryable, Subscriber, Publisher, Querier,
+             )  # fmt: skip
+    vars(made).update({kind.__name__: kind for kind in kinds})
+    vars(made).update(
+        ZError=ZenohError, KeyExpr=key_expression, Selector=lambda key, parameters="": f"{key}?{parameters}",
+        open=lambda config=None: Session(zenoh), try_init_log_from_env=lambda: None, handlers=handlers,
+        init_log_from_env_or=lambda _: None, Liveliness=Liveliness, __getattr__=__getattr__,
+    )  # fmt: skip
+    return made

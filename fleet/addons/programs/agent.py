@@ -23,9 +23,14 @@ from fleet.addons.programs.turns import NS, Turns
 from fleet.addons.programs.zenoh_session import TOKEN, Zenoh, zenoh_module
 from world.errors import PluginError
 
-ZENOH, DATAGRAM = "z", "u"  # the first word of a payload
+ZENOH, DATAGRAM, ROS = "z", "u", "r"  # the first word of a payload
 TOKENS_NS = 500_000_000  # how often tokens are told again
 NOTHING_YET = -1.0  # a signal before the program has printed a line of it
+RCLPY = tuple(
+    "rclpy" + name
+    for name in ("", ".node", ".executors", ".qos", ".time", ".duration", ".clock", ".parameter", ".timer", ".task",
+                 ".callback_groups", ".logging", ".subscription", ".publisher", ".exceptions", ".utilities")
+)  # fmt: skip
 _PARAMETERS = ("arguments", "signals", "addresses", "order", "cost", "shared")
 
 
@@ -126,6 +131,7 @@ class ProgramAgent:
         self._datagrams = Datagrams(self._turns, self._book, self._send_datagram)
         hears = frozenset(each.id for each in config.neighbours)
         self._zenoh = Zenoh(self._turns, config.id, hears, self._send_zenoh)
+        self._ros: Any = None  # made when the program imports rclpy, which needs the extra `ros2`
         self._tokens_ns = 0
         self._begun = False
         self._output = standard.Output(self._print)
@@ -154,7 +160,21 @@ class ProgramAgent:
         stand_ins["_thread"] = lambda: thread_module(space.load("threading"))
         stand_ins["random"] = partial(_random, space, stand_ins, chance)
         stand_ins["zenoh.handlers"] = lambda: space.load("zenoh").handlers
+        for name in RCLPY:
+            stand_ins[name] = partial(self._rclpy, space, name)
+        space.make_others = interfaces
         turns.start(partial(self._run, space))
+
+    def _rclpy(self, space: ImportSpace, name: str) -> ModuleType:
+        from fleet.addons.programs.ros_node import Ros, rclpy_modules
+
+        if self._ros is None:
+            self._ros = Ros(self._turns, self._config.id, self._send_ros, self._output.write)
+            self._rclpy_modules = rclpy_modules(self._ros)
+        if name not in self._rclpy_modules:
+            hint = "fleet netem runs the node with rclpy itself"
+            raise ModuleNotFoundError(f"No module named {name!r} in lockstep; {hint}", name=name)
+        return self._rclpy_modules[name]
 
     def _run(self, space: ImportSpace) -> None:
         try:
@@ -171,6 +191,9 @@ class ProgramAgent:
 
     def _send_datagram(self, agent: int, port: int, to_port: int, data: bytes) -> None:
         self._out.append(msgpack.packb([DATAGRAM, agent, port, to_port, data]))
+
+    def _send_ros(self, message: list[Any]) -> None:
+        self._out.append(msgpack.packb([ROS, message]))
 
     def _send_zenoh(self, message: list[Any]) -> None:
         self._out.append(msgpack.packb([ZENOH, message]))
@@ -209,6 +232,22 @@ class ProgramAgent:
                 self._datagrams.hear(delivery.src, port, to_port, data)
         elif kind == ZENOH:
             self._zenoh.hear(delivery.src, message[0])
+        elif kind == ROS and self._ros is not None:
+            self._ros.hear(delivery.src, message[0])
+
+
+def interfaces(name: str) -> ModuleType | None:
+    """The module of messages or services of ROS 2, such as `std_msgs.msg`, or its package; None: it is another one."""
+    package, _, kind = name.partition(".")
+    if not package.endswith(("_msgs", "_srvs", "_interfaces")) or kind not in ("", "msg", "srv"):
+        return None
+    if kind:
+        from fleet.addons.programs.ros_messages import interface_module
+
+        return interface_module(name)
+    made = ModuleType(name)
+    made.__path__ = []
+    return made
 
 
 def _random(space: ImportSpace, stand_ins: dict[str, Any], chance: Random) -> ModuleType:

@@ -56,6 +56,7 @@ class ImportSpace:
         self.path = [str(folder), *sys.path[1:]]
         self.every_module = ChainMap(self.modules, sys.modules)
         self._stand_ins, self._refused, self._shared = stand_ins, refused, frozenset(shared)
+        self.make_others: Callable[[str], ModuleType | None] = lambda _: None  # by the name of a module
         self._builtins = vars(builtins) | {"__import__": self._import} | dict(own_builtins)
 
     def run(self, file: Path, name: str = "__main__") -> ModuleType:
@@ -83,6 +84,8 @@ class ImportSpace:
         first = name.partition(".")[0]
         if make := self._stand_ins.get(name):
             return make()
+        if (made := self.make_others(name)) is not None:
+            return made
         if first in self._refused:
             raise RefusedImport(f"{name}: {self._refused[first]}", name=name)
         if name in _WITHOUT:

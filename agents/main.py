@@ -24,6 +24,7 @@ from netem.wire.session import quiet_zenoh
 from netem.wire.vehicle_bus import AgentEnd
 from world.errors import PluginError
 from world.plugins.loading import unit_file
+from world.plugins.output import lines_go_into
 from world.plugins.trust import allow_file
 
 
@@ -109,7 +110,8 @@ def _core(bus: Bus, keys: Keys, config: AgentConfig, begin: int) -> AgentCore:
     if config.agent is not None and (file := unit_file("agent", config.agent.name)):
         allow_file(config.agent.name, Path(file))  # the console, which has started this process, has let it run
     try:
-        return make_agent(config)
+        with lines_go_into(None):
+            return make_agent(config)
     except (AgentError, PluginError) as error:
         role = agent_role(config.id)
         give_up(Mailbox(bus, role, keys.note(role)), config.id, begin, error)

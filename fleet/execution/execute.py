@@ -44,6 +44,7 @@ from fleet.terminal.status_line import BAR, StatusLine, bar, showing
 from fleet.terminal.table import GAP, Piece, shortened
 from netem.vehicle_clock import Clock
 from world.errors import WorldError
+from world.plugins.output import lines_go_into
 
 # --- progress: the display of a run while it goes on: its time and speed, the formation error, packets and faults
 
@@ -212,6 +213,8 @@ def _prepare(
     checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.tick)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
+    if in_process:
+        while_it_lives.enter_context(lines_go_into(directory.path / "log"))
     text = scenario.to_yaml()
     directory.write_scenario(text)
     try:

@@ -127,6 +127,7 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
         UntrustedError: the permission does not cover the file.
         PluginError: there is no such file.
     """
+    ran = set(_files.values())  # as a module that was allowed once
     _files.pop(name, None)  # what another scenario calls so is another file
     folders = [*permission.own, *permission.elsewhere]
     path = next((path for folder in folders if (path := Path(folder, file).resolve()).is_file()), None)
@@ -137,7 +138,7 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
     if own and (folder := next((f for f in (str(path), str(path.parent)) if _open_to_all(f)), "")):
         own, because = [], f"everybody may write into {folder}"
     _own.update(dict.fromkeys(own))
-    if not own:
+    if not own and path not in ran:
         _need_trust(kind, name, (str(path),), str(path.parent), because)
     _files[name] = _files[f"{name.partition(':')[0]}:{path}"] = path  # agents get the name with the whole path
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,9 +22,13 @@ from fleet.addons.programs.import_space import ImportSpace
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
 from fleet.addons.programs.zenoh_session import TOKEN, Zenoh, zenoh_module
+from fleet.quantities import time_ns
 from world.errors import PluginError
+from world.plugins.fence import OverBudgetError, alarm
+from world.plugins.output import line_writer
 
 ZENOH, DATAGRAM, ROS = "z", "u", "r"  # the first word of a payload
+BUDGET_S = 10.0  # of computing in one turn, unless the scenario has a budget of its own
 TOKENS_NS = 500_000_000  # how often tokens are told again
 NOTHING_YET = -1.0  # a signal before the program has printed a line of it
 RCLPY = tuple(
@@ -94,7 +99,7 @@ def _line_signal(path: Path, name: str, about: Any) -> LineSignal:
 
 
 class ProgramAgent:
-    """One life of a program."""
+    """One life of a program. When the agent is dropped, the program has ended: nothing of it has an effect any more."""
 
     plugin_file: ClassVar[Path]
     reads: ClassVar[tuple[LineSignal, ...]]
@@ -107,7 +112,7 @@ class ProgramAgent:
         signals: Any = None,
         addresses: Mapping[str, int] | None = None,
         order: str = "ready",
-        cost: float = 0.0,
+        cost: str | float = 0.0,
         shared: Sequence[str] = (),
     ) -> None:
         """Prepare the program; its first turn is the agent's first tick.
@@ -118,122 +123,158 @@ class ProgramAgent:
             signals: read by `program_class`.
             addresses: agents by `HOST:PORT` or `HOST`.
             order: of callbacks of asyncio that are ready at the same time: `ready` or `seeded`.
-            cost: time that a turn takes [s].
+            cost: time that a turn takes, such as `2 ms`.
             shared: packages that all programs of this process share.
         """
-        self._config, self._order, self._shared = config, order, shared
+        self._tick_ns = config.tick_ns
+        self._cost_ns, self._busy_until_ns = time_ns(cost) if isinstance(cost, str) else round(cost * NS), 0
+        self._life = ProgramLife(self.plugin_file, self.reads, config, arguments, addresses or {}, order, shared)
+        self._limited = not config.budget_s
+
+    def __del__(self) -> None:
+        if life := getattr(self, "_life", None):
+            life.turns.end()
+
+    def transmit(self, nav: Nav) -> Sequence[bytes]:
+        """What the program has sent since the last round."""
+        return self._life.sent()
+
+    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
+        """Hand over what has come, and let the program run until it waits."""
+        now_ns = nav.tick * self._tick_ns
+        self._life.take(now_ns, deliveries)
+        if now_ns >= self._busy_until_ns:
+            self._advance(now_ns)
+            self._busy_until_ns = now_ns + self._cost_ns
+        return (0.0, 0.0, 0.0), self._life.values
+
+    def _advance(self, now_ns: int) -> None:
+        if not self._limited or threading.current_thread() is not threading.main_thread():
+            self._life.turns.advance(now_ns)
+            return
+        try:
+            with alarm(BUDGET_S, 0.0, lambda: True):
+                self._life.turns.advance(now_ns)
+        except OverBudgetError as error:
+            problem = (
+                f"it computed for {BUDGET_S:g} s and did not wait: a program waits with time.sleep, a queue or await"
+            )
+            raise ProgramFailed(problem).with_traceback(error.__traceback__) from None
+
+
+class ProgramLife:
+    """The inside of a program: its threads, its modules, and its ways to others."""
+
+    def __init__(
+        self,
+        file: Path,
+        reads: Sequence[LineSignal],
+        config: AgentConfig,
+        arguments: Sequence[Any],
+        addresses: Mapping[str, int],
+        order: str,
+        shared: Sequence[str],
+    ) -> None:
+        """Prepare it; the arguments are those of `ProgramAgent`."""
+        self._file, self._reads, self._config, self._order, self._shared = file, reads, config, order, shared
         self._arguments = [str(each).format(id=config.id, seed=config.seed) for each in arguments]
-        self._cost_ns, self._busy_until_ns = round(cost * NS), 0
-        self._values = {each.name: NOTHING_YET for each in self.reads}
+        self.values = {each.name: NOTHING_YET for each in reads}
+        self.turns = Turns()
         self._out: list[bytes] = []
-        self._turns = Turns()
-        self._book = AddressBook(config.id, addresses or {})
-        self._datagrams = Datagrams(self._turns, self._book, self._send_datagram)
+        self._datagrams = Datagrams(self.turns, AddressBook(config.id, addresses), self._send_datagram)
         hears = frozenset(each.id for each in config.neighbours)
-        self._zenoh = Zenoh(self._turns, config.id, hears, self._send_zenoh)
+        self._zenoh = Zenoh(self.turns, config.id, hears, partial(self._send, ZENOH))
         self._ros: Any = None  # made when the program imports rclpy, which needs the extra `ros2`
         self._tokens_ns = 0
         self._begun = False
-        self._output = standard.Output(self._print)
+        self._output = standard.Output(self._hear_line)
+        self._write_line = line_writer(f"agent-{config.id}.log")
 
-    def _begin(self, tick: int) -> None:
-        chance = Random(f"{self._config.seed}/{self._config.id}/{tick}")
-        turns, output = self._turns, self._output
+    def take(self, now_ns: int, deliveries: Iterable[Delivery]) -> None:
+        """What has come until a time; with the first one the program begins."""
+        self.turns.now_ns = now_ns
+        if not self._begun:
+            self._begun = True
+            self._begin(Random(f"{self._config.seed}/{self._config.id}/{now_ns}"))
+        for delivery in deliveries:
+            self._hear(delivery)
+
+    def sent(self) -> list[bytes]:
+        """What the program has sent, and its tokens again and again, since the water may lose them."""
+        if self._zenoh.tokens and self.turns.now_ns >= self._tokens_ns:
+            self._tokens_ns = self.turns.now_ns + TOKENS_NS
+            for token in self._zenoh.tokens:
+                self._send(ZENOH, [TOKEN, token.key])
+        out, self._out = self._out, []
+        return out
+
+    def _begin(self, chance: Random) -> None:
+        turns, output = self.turns, self._output
+        shuffle = Random(chance.random()) if self._order == "seeded" else None
+        space: ImportSpace
         stand_ins: dict[str, Any] = {
             "time": partial(standard.time_module, turns),
             "datetime": partial(standard.datetime_module, turns),
             "os": partial(standard.os_module, chance, self._config.id),
             "signal": standard.signal_module,
             "threading": partial(threading_module, turns, output.write),
+            "_thread": lambda: thread_module(space.load("threading")),
             "socket": partial(socket_module, self._datagrams),
-            "asyncio": partial(
-                asyncio_module, turns, self._datagrams, Random(chance.random()) if self._order == "seeded" else None
-            ),
+            "asyncio": partial(asyncio_module, turns, self._datagrams, shuffle),
             "zenoh": partial(zenoh_module, self._zenoh),
+            "zenoh.handlers": lambda: space.load("zenoh").handlers,
+            **{name: partial(self._rclpy, name) for name in RCLPY},
         }
-        space = ImportSpace(
-            self.plugin_file.parent, stand_ins, standard.REFUSED, {"print": standard.print_to(output)}, self._shared
-        )
-        stand_ins["sys"] = partial(
-            standard.sys_module, [str(self.plugin_file), *self._arguments], space.every_module, space.path, output
-        )
-        stand_ins["_thread"] = lambda: thread_module(space.load("threading"))
-        stand_ins["random"] = partial(_random, space, stand_ins, chance)
-        stand_ins["zenoh.handlers"] = lambda: space.load("zenoh").handlers
-        for name in RCLPY:
-            stand_ins[name] = partial(self._rclpy, space, name)
+        own = {"print": standard.print_to(output)}
+        space = ImportSpace(self._file.parent, stand_ins, standard.REFUSED, own, self._shared)
         space.make_others = interfaces
+        arguments = [str(self._file), *self._arguments]
+        stand_ins["sys"] = partial(standard.sys_module, arguments, space.every_module, space.path, output)
+        stand_ins["random"] = partial(_random, space, stand_ins, chance)
         turns.start(partial(self._run, space))
-
-    def _rclpy(self, space: ImportSpace, name: str) -> ModuleType:
-        from fleet.addons.programs.ros_node import Ros, rclpy_modules
-
-        if self._ros is None:
-            self._ros = Ros(self._turns, self._config.id, self._send_ros, self._output.write)
-            self._rclpy_modules = rclpy_modules(self._ros)
-        if name not in self._rclpy_modules:
-            hint = "fleet netem runs the node with rclpy itself"
-            raise ModuleNotFoundError(f"No module named {name!r} in lockstep; {hint}", name=name)
-        return self._rclpy_modules[name]
 
     def _run(self, space: ImportSpace) -> None:
         try:
-            space.run(self.plugin_file)
+            space.run(self._file)
         except SystemExit as end:
             if end.code not in (None, 0):
-                raise ProgramFailed(f"ended with {end.code!r:.200}") from None
+                raise ProgramFailed(f"it ended with {end.code!r:.200}") from None
 
-    def _print(self, line: str) -> None:
-        for each in self.reads:
+    def _rclpy(self, name: str) -> ModuleType:
+        from fleet.addons.programs.ros_node import Ros, rclpy_modules
+
+        if self._ros is None:
+            self._ros = Ros(self.turns, self._config.id, partial(self._send, ROS), self._output.write)
+            self._rclpy_modules = rclpy_modules(self._ros)
+        return self._rclpy_modules[name]
+
+    def _hear_line(self, line: str) -> None:
+        if self.turns.over:
+            return
+        for each in self._reads:
             if (value := each.read(line)) is not None:
-                self._values[each.name] = value
-        print(f"{self._turns.now_ns / NS:.3f} {line}")
+                self.values[each.name] = value
+        self._write_line(f"{self.turns.now_ns / NS:.3f} {line}")
 
     def _send_datagram(self, agent: int, port: int, to_port: int, data: bytes) -> None:
-        self._out.append(msgpack.packb([DATAGRAM, agent, port, to_port, data]))
+        self._send(DATAGRAM, [agent, port, to_port, data])
 
-    def _send_ros(self, message: list[Any]) -> None:
-        self._out.append(msgpack.packb([ROS, message]))
-
-    def _send_zenoh(self, message: list[Any]) -> None:
-        self._out.append(msgpack.packb([ZENOH, message]))
-
-    def transmit(self, nav: Nav) -> Sequence[bytes]:
-        """What the program has sent since the last round."""
-        if self._zenoh.tokens and self._turns.now_ns >= self._tokens_ns:
-            self._tokens_ns = self._turns.now_ns + TOKENS_NS
-            for token in self._zenoh.tokens:
-                self._send_zenoh([TOKEN, token.key])
-        out, self._out = self._out, []
-        return out
-
-    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
-        """Hand over what has come, and let the program run until it waits."""
-        now_ns = nav.tick * self._config.tick_ns
-        self._turns.now_ns = now_ns
-        if not self._begun:
-            self._begun = True
-            self._begin(nav.tick)
-        for delivery in deliveries:
-            self._hear(delivery)
-        if now_ns >= self._busy_until_ns:
-            self._turns.advance(now_ns)
-            self._busy_until_ns = now_ns + self._cost_ns
-        return (0.0, 0.0, 0.0), self._values
+    def _send(self, kind: str, message: list[Any]) -> None:
+        self._out.append(msgpack.packb([kind, message]))
 
     def _hear(self, delivery: Delivery) -> None:
         try:
-            kind, *message = msgpack.unpackb(delivery.payload)
-        except (ValueError, TypeError, msgpack.UnpackException):
+            kind, message = msgpack.unpackb(delivery.payload)
+            if kind == DATAGRAM:
+                agent, port, to_port, data = message
+                if agent in (EVERYBODY, self._config.id):
+                    self._datagrams.hear(delivery.src, port, to_port, data)
+            elif kind == ZENOH:
+                self._zenoh.hear(delivery.src, message)
+            elif kind == ROS and self._ros is not None:
+                self._ros.hear(delivery.src, message)
+        except (ValueError, TypeError, IndexError, msgpack.UnpackException):
             return  # damaged on the way, as a checksum of UDP would tell
-        if kind == DATAGRAM:
-            agent, port, to_port, data = message
-            if agent in (EVERYBODY, self._config.id):
-                self._datagrams.hear(delivery.src, port, to_port, data)
-        elif kind == ZENOH:
-            self._zenoh.hear(delivery.src, message[0])
-        elif kind == ROS and self._ros is not None:
-            self._ros.hear(delivery.src, message[0])
 
 
 def interfaces(name: str) -> ModuleType | None:

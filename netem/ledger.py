@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from netem.cause import LOSSES, Cause
 from netem.condition import Link
-from netem.fault_kinds import LOSSES, Cause
 from netem.wire.messages import Fate
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]

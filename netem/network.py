@@ -15,7 +15,8 @@ from netem.acoustic import AcousticChannel
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.faults import NetFault, active_faults
-from netem.medium import IndependentLinks, Medium, MediumRound, Place, make_links
+from netem.links import make_links
+from netem.medium import IndependentLinks, Medium, MediumRound, Place
 from netem.transit import PendingPacket, Transit
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate

@@ -22,11 +22,12 @@ from netem.lives import Absence, Lives
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.bundles import AgentGroups
-from netem.wire.bus import PART_BYTES, Bus, Respond, split
+from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode, expect
+from netem.wire.control import read_map
 from netem.wire.credentials import NETEM, Members
 from netem.wire.keys import Keys, vehicle_of
-from netem.wire.mailbox import Mailbox, Probes, read_map
+from netem.wire.mailbox import Mailbox, Probes
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     Bundle,
@@ -41,6 +42,7 @@ from netem.wire.messages import (
     Round,
     Transmission,
 )
+from netem.wire.parts import PART_BYTES, split
 
 log = logging.getLogger(__name__)
 

@@ -16,13 +16,15 @@ from typing import Any, NamedTuple
 from msgspec import Struct, structs
 
 from netem.acoustic import AcousticChannel
-from netem.condition import Link, lost_share
+from netem.cause import Cause
+from netem.condition import Link
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
+from netem.correlation import lost_share
 from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY
-from netem.medium import IndependentLinks, MediumRound, Place, make_links
+from netem.links import make_links
+from netem.medium import IndependentLinks, MediumRound, Place
 from netem.network import fate_order
 from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange

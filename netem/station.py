@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 
 ANSWER = -1  # the `copy` of a reception that is an acknowledgement
 REQUEST, REPLY = -2, -3  # likewise of two-way ranging

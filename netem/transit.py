@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from netem.cause import Cause
 from netem.condition import Link
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults, NetFault, release_tick
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate, MeasuredRange

@@ -19,19 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any, Protocol
-
-# --- clock
-# Whether a run is in lockstep or follows the wall clock.
-
-
-class Clock(StrEnum):
-    """Decides when a tick begins."""
-
-    LOCKSTEP = "lockstep"  # everybody waits for everybody, so the log does not depend on the machine
-    REAL = "real"  # the wall clock: nobody waits, so processes can be late
-
 
 CLOCK = "clock"  # the kind of a fault
 

@@ -17,12 +17,13 @@ import msgpack
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.lives import Absence
 from netem.wire.bundles import AgentGroups
-from netem.wire.bus import PART_BYTES, Bus, Respond, split
+from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode, expect
+from netem.wire.control import read_map
 from netem.wire.credentials import WORLD as WORLD
 from netem.wire.credentials import Members, agent_role, host_role
 from netem.wire.keys import Keys, vehicle_of
-from netem.wire.mailbox import Mailbox, Probes, read_map
+from netem.wire.mailbox import Mailbox, Probes
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     Bundle,
@@ -41,6 +42,7 @@ from netem.wire.messages import (
     WorldFault,
     WorldFaults,
 )
+from netem.wire.parts import PART_BYTES, split
 from netem.wire.queues import PutQueue
 from netem.wire.refusals import Refusals
 from netem.wire.vehicle_bus import Inbound

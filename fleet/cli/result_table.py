@@ -17,7 +17,7 @@ from fleet.result.verdict import failed_first
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
 from fleet.terminal.table import INDENT, TerminalColumn, fold, width
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.ledger import Account
 
 Say = Callable[..., None]

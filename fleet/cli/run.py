@@ -25,7 +25,7 @@ from fleet.option import Option
 from fleet.terminal.output import OutputError, give_up_output
 from fleet.terminal.status_line import showing, stderr
 from fleet.terminal.table import say, stdout
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 if TYPE_CHECKING:
     from rich.console import Console as Terminal

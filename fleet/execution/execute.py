@@ -42,7 +42,7 @@ from fleet.scenario.sections.triggers import moments
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from fleet.terminal.status_line import BAR, StatusLine, bar, showing
 from fleet.terminal.table import GAP, Piece, shortened
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 from world.errors import WorldError
 
 # --- progress: the display of a run while it goes on: its time and speed, the formation error, packets and faults

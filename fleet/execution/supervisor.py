@@ -46,10 +46,10 @@ from fleet.recorder.journal import Journal
 from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
+from netem.clock import Clock
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.lives import Absence, Lives
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus
 from netem.wire.credentials import CONSOLE, LEASE_MS, NETEM, OPERATOR, WORLD, Listener, agent_role, generate, host_role
 from netem.wire.keys import Keys

@@ -15,8 +15,8 @@ from msgspec import Meta, Struct
 
 from fleet.notebook import html_table
 from fleet.result.verdict import Verdict, failed_first
+from netem.clock import Clock
 from netem.ledger import Account, Count
-from netem.vehicle_clock import Clock
 
 # --- timing: how everybody kept up in a run on a wall clock, as the world and the network measure it
 

@@ -28,7 +28,7 @@ from fleet.scenario.sections.nemesis_targets import NemesisTargets, instruments
 from fleet.scenario.sections.per_vehicle import Control, Entries
 from fleet.scenario.sections.trace_table import TraceTable
 from netem.condition import Condition, Link
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig, Modem

@@ -13,9 +13,10 @@ from contextlib import suppress
 import zenoh
 
 from netem.errors import BusError
-from netem.wire.bus import Bus, Respond, never_linger
+from netem.wire.bus import Bus, Respond
 from netem.wire.credentials import Listener, agent_role, certificate_control
 from netem.wire.keys import Keys
+from netem.wire.linger import never_linger
 from netem.wire.session import UNIVERSAL, listening, open_session, reason, router_settings, server_tls
 
 

@@ -131,7 +131,12 @@ def check_key(text: str) -> str:
 
 
 class Robot:
-    """The network of one robot. Threads of zenoh put what comes into its inlet."""
+    """The network of one robot.
+
+    Three threads call its methods. A thread of zenoh takes what comes and puts it into the inlet (`_heard` to
+    `_announced`). The thread of the relay asks `carries`. All that a slow program could hold up runs on the thread of
+    the outlet: `mirror`, `withdraw`, `ask` and `hand`.
+    """
 
     def __init__(self, access: RobotEndpoint, carry: Sequence[str], inlet: Inlet) -> None:
         """Open its session. Raises BusError: the address is in use, nobody answers there, or a file is no configuration
@@ -143,7 +148,6 @@ class Robot:
         self.placed: deque[tuple[str, bytes]] = deque(maxlen=1)  # key and message that say last where it is
         self._inlet, self._put = inlet, inlet.put
         self._session = _opened(access)
-        # The admin space of our router; one of others may have none.
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
@@ -182,8 +186,6 @@ class Robot:
         self._served.clear()
         self.outlet.close()
         self._session.close()  # type: ignore[no-untyped-call]
-
-    # --- on a thread of zenoh
 
     def _heard(self, number: int, sample: Any) -> None:
         if self._takes(number, sample.key_expr):
@@ -227,8 +229,6 @@ class Robot:
         if current_thread() is not self.outlet.thread:  # it is no token that we show or withdraw
             self._put(Token(self.number, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
-    # --- on the thread of the relay
-
     def carries(self, token: str) -> bool:
         """Whether others may see a token: that of a node of ROS, or of something whose key the network carries."""
         key = token
@@ -241,8 +241,6 @@ class Robot:
             return self._includes(zenoh.KeyExpr(key.partition("/@adv/")[0])) is not None
         except zenoh.ZError:
             return False
-
-    # --- on the thread of its outlet
 
     def mirror(self, token: str) -> None:
         """Show a token of another robot, and the service that it stands for, if there is room for it."""

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from waiting import wait_for
 
 from netem import relay_process
+from netem.cause import Cause
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
 from netem.limits import RELAY_WAITING, ROBOT_WAITING
 from netem.relay import DATAGRAM, PUT, MessageFate, RobotMessage
 from netem.relay_process import Port, RelayProcess, RelayReport, Setup

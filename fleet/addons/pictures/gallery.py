@@ -62,9 +62,9 @@ from fleet.result.file import ResultError, read_result
 from fleet.result.result import Spread, Timing
 from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.signals import parse_name
+from netem.cause import Cause
+from netem.clock import Clock
 from netem.condition import Link
-from netem.fault_kinds import Cause
-from netem.vehicle_clock import Clock
 
 # --- time series
 # Signals of the vehicles over time: errors with the limits of checks, inputs with their limits.

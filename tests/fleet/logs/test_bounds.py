@@ -28,8 +28,8 @@ from fleet.logs.info import info_text, read_info
 from fleet.logs.open_log import Opening, Part
 from fleet.logs.reader import LogReader, LogReadError
 from fleet.terminal import status_line
-from netem.files import whole_file
 from netem.limits import LOG_FAULTS, LOG_MESSAGE, LOG_RECORD, LOG_REST
+from netem.whole_file import whole_file
 
 MIB = 1 << 20
 LIMIT_S = 60.0

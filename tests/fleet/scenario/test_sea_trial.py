@@ -7,8 +7,8 @@ import pytest
 
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.sections.modem_files import load_modem
+from netem.cause import Cause
 from netem.fading import gain_db
-from netem.fault_kinds import Cause
 from netem.modem import AcousticConfig
 from netem.network import Netem
 

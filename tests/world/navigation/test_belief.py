@@ -10,8 +10,8 @@ from in_process_runs import Alone, log_of
 from fleet.execution.stepped_run import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario
-from netem.wire.bus import PART_BYTES
 from netem.wire.messages import Fix, VehicleFrame
+from netem.wire.parts import PART_BYTES
 from world.navigation.config import NavigationTrace, TracePoint
 from world.navigation.kinds import ReplayedError
 from world.navigation.navigator import MOST_TOLD

@@ -24,10 +24,12 @@ from agents.config import (
 )
 from agents.localization import payload as located
 from agents.trajectory import Circle, Path, StraightLine
-from netem.fault_kinds import Cause, WorldFaultKind
+from netem.cause import Cause
+from netem.fault_kinds import WorldFaultKind
 from netem.limits import WIRE_MESSAGE
 from netem.wire.credentials import LEASE_MS
-from netem.wire.messages import PROTOCOL_VERSION, Message, Route, TimedFault, WireRecord, WorldFault
+from netem.wire.fields import Route, WireRecord
+from netem.wire.messages import PROTOCOL_VERSION, Message, TimedFault, WorldFault
 from world.config import VehicleParams
 
 # --- slice fields

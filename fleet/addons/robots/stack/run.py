@@ -37,9 +37,9 @@ from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.relay_process import MOST_NOTES, Port, RelayReport, Setup
 from netem.wire.bus import Bus
+from netem.wire.control import read_map
 from netem.wire.credentials import CONSOLE, OPERATOR, generate
 from netem.wire.keys import Keys
-from netem.wire.mailbox import read_map
 from netem.wire.messages import Frame, LinkReport, VehicleFrame, WorldFault
 from netem.wire.robots import RobotEndpoint
 from netem.wire.session import quiet_zenoh

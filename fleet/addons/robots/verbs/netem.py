@@ -17,7 +17,7 @@ from fleet.execution.options import OnlyDirectory, Options, RunsFolder
 from fleet.option import Option
 from fleet.terminal.status_line import stderr
 from fleet.terminal.table import say
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 
 @command(

@@ -110,7 +110,7 @@ def place_of(scenario: Scenario, out: Path | None, *, force: bool) -> Path:
 def write_least(scenario: Scenario, path: Path) -> None:
     """Write the least scenario. Raises StudyError: it cannot be written; then it is printed on stderr."""
     from fleet.addons.studies.errors import StudyError
-    from netem.files import write_whole
+    from netem.whole_file import write_whole
 
     text = scenario.to_yaml()
     try:

@@ -19,13 +19,14 @@ from math import nan
 from agents.brain import Brain
 from agents.codecs import codec
 from agents.compact import OutOfRange
-from agents.config import AgentConfig, Offset
+from agents.config import AgentConfig
 from agents.controllers import Notes, build
 from agents.errors import ControllerError
 from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip, consensus_error
 from agents.localization.localizer import Localizer, Navigated
 from agents.neighbours import NeighbourTable, own_time
+from agents.offset import Offset
 from agents.payload import StateMessage
 from agents.sample import Decision, NeighbourState, Sample
 from agents.trajectory import Motion

@@ -22,7 +22,8 @@ import agents
 from agents.config import AgentConfig
 from agents.errors import PayloadError
 from agents.formation_agent import FormationAgent
-from agents.laws.kinematics import earth_velocity, flight_path, wrap
+from agents.laws.angles import wrap
+from agents.laws.kinematics import earth_velocity, flight_path
 from agents.message import pack, unpack
 from agents.sample import NeighbourState, Sample, VelocityCommand
 from agents.trajectory import Motion

@@ -10,9 +10,10 @@ from typing import Any
 from agents.config import AgentConfig
 from agents.errors import AgentError
 from agents.host_process import HostProcess
+from agents.host_progress import Running
 from agents.loop import AgentCore, AgentLoop, RealtimeLoop
 from agents.make_agent import make_agent
-from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, Running, give_up
+from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, give_up
 from agents.realtime_process import RealtimeAgentProcess
 from netem.clock import Clock
 from netem.errors import BusError

@@ -8,23 +8,6 @@ from typing import NamedTuple
 from agents.trajectory import Motion
 from world.vectors import Vec3, Vec5
 
-# --- decision: an agent's answer to one sample
-
-
-class Decision(NamedTuple):
-    """The command to the vehicle, and the values for the log."""
-
-    tau: Vec3  # surge force [N], pitch and yaw moment [N m], within the actuators' limits
-    telemetry: tuple[float, ...]  # the values of the declared signals, in order
-
-
-class Step(NamedTuple):
-    """A decision, and what to send to the neighbours."""
-
-    tau: Vec3
-    telemetry: tuple[float, ...]
-    payloads: tuple[bytes, ...]  # none between round ticks
-
 
 class NeighbourState(NamedTuple):
     """An agent's knowledge of one neighbour that it has heard."""
@@ -72,3 +55,18 @@ class Sample(NamedTuple):
         not depend on what was drawn before.
         """
         return Random(self.seed)
+
+
+class Decision(NamedTuple):
+    """The command to the vehicle, and the values for the log."""
+
+    tau: Vec3  # surge force [N], pitch and yaw moment [N m], within the actuators' limits
+    telemetry: tuple[float, ...]  # the values of the declared signals, in order
+
+
+class Step(NamedTuple):
+    """A decision, and what to send to the neighbours."""
+
+    tau: Vec3
+    telemetry: tuple[float, ...]
+    payloads: tuple[bytes, ...]  # none between round ticks

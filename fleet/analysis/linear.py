@@ -28,7 +28,8 @@ import numpy as np
 
 from agents.config import AgentConfig, Law
 from agents.controllers import TRACKING, Cascade
-from agents.laws.kinematics import RateFilter, earth_velocity
+from agents.laws.angles import RateFilter
+from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
 from agents.sample import Sample
 from agents.trajectory import Motion

@@ -20,7 +20,7 @@ import agents.main
 import agents.process
 import netem.main
 import world.main
-from agents.process import running
+from agents.host_progress import running
 from fleet.errors import RunBroken
 from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import ExternalAgents

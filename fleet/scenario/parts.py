@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import cache, cached_property, partial
 from pathlib import Path
 
-from agents.config import Offset
+from agents.offset import Offset
 from agents.trajectory import Reference
 from fleet.errors import FleetError
 from fleet.quantities import vehicle_numbers

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from agents.agent import Agent
-from agents.config import AgentConfig, Extrapolation, Law, Neighbour, Offset
+from agents.config import AgentConfig, Extrapolation, Law, Neighbour
 from agents.controllers import CONTROLLERS
+from agents.offset import Offset
 from agents.profiles import profile
 from agents.trajectory import StraightLine
 from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleParams, VehicleSetup, WorldConfig

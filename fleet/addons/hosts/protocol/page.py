@@ -18,11 +18,10 @@ from agents.config import (
     Law,
     LocalizationParams,
     Neighbour,
-    Offset,
-    OffsetChange,
     TrackingParams,
 )
 from agents.localization import payload as located
+from agents.offset import Offset, OffsetChange
 from agents.trajectory import Circle, Path, StraightLine
 from netem.cause import Cause
 from netem.fault_kinds import WorldFaultKind

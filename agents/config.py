@@ -13,8 +13,8 @@ import msgspec
 
 from agents.offset import Offset
 from agents.trajectory import Motion, Reference, reference_type
-from world.config import VehicleParams
 from world.vectors import Vec3, plus
+from world.vehicle_params import VehicleParams
 
 Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]

@@ -25,9 +25,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from world.config import VehicleParams
 from world.signal import Signal
 from world.vectors import Vec3, Vec5, Vec6
+from world.vehicle_params import VehicleParams
 
 __all__ = ["Plant", "PlantConfig", "PlantState", "Report", "Signal", "Vec3", "Vec5", "Vec6", "VehicleParams", "Water"]
 

@@ -12,46 +12,7 @@ from netem.wire.messages import WorldFault
 from world.navigation.config import Navigation
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3, Vec5
-
-# --- vehicle: the numbers of the 5-DOF model and of its actuators
-# | symbol | meaning | unit | paper |
-# |---|---|---|---|
-# | m, Iy, Iz | rigid-body mass, moments of inertia in pitch and yaw | kg, kg m^2 | Table I |
-# | beta_udot .. beta_rdot | added mass with the paper's sign (m1 = m - beta_udot) | kg, kg m^2 | Table I |
-# | beta_u .. beta_r | linear damping in surge, sway, heave, pitch, yaw | kg/s, kg m^2/s | Table I |
-# | beta_b | restoring moment coefficient in pitch | N m | Table I |
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleParams:
-    """Parameters of the 5-DOF underactuated vehicle (eqs. 1-2); `world/vehicles` holds numbers with their sources."""
-
-    m: float
-    Iy: float
-    Iz: float
-    beta_udot: float
-    beta_vdot: float
-    beta_wdot: float
-    beta_qdot: float
-    beta_rdot: float
-    beta_u: float
-    beta_v: float
-    beta_w: float
-    beta_q: float
-    beta_r: float
-    beta_b: float
-
-    @property
-    def inertia(self) -> Vec5:
-        """m1..m5 [kg, kg, kg, kg m^2, kg m^2]: mass matrix diagonal as printed below eq. (2)."""
-        return (
-            self.m - self.beta_udot,
-            self.m - self.beta_vdot,
-            self.m - self.beta_wdot,
-            self.Iy - self.beta_qdot,
-            self.Iz - self.beta_rdot,
-        )
-
+from world.vehicle_params import VehicleParams
 
 # RK4 steps per tick. At a tick of 10 ms one step stays within 4e-7 of a converged velocity in the paper's
 # disturbed runs, two within 3e-8, four within 7e-9; each step costs about 7 us per vehicle.

@@ -20,8 +20,8 @@ from __future__ import annotations
 from math import cos, sin
 from typing import NamedTuple
 
-from world.config import VehicleParams
 from world.vectors import ZERO, Vec3, Vec5
+from world.vehicle_params import VehicleParams
 
 State = tuple[float, float, float, float, float, float, float, float, float, float]
 

@@ -16,8 +16,7 @@ from netem.wire.refusals import Refusals
 from world.config import WorldConfig
 from world.lockstep import Out
 from world.process import WorldProcess
-from world.realtime import RealtimeRun
-from world.tick_schedule import TickSchedule
+from world.realtime import RealtimeRun, TickSchedule
 
 AHEAD_NS = 50_000_000  # from the first grant to the first tick
 PATIENCE_NS = 500_000_000  # without an answer, after which an agent is silent

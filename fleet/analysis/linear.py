@@ -34,9 +34,9 @@ from agents.laws.velocity_command import clip
 from agents.sample import Sample
 from agents.trajectory import Motion
 from fleet.errors import FleetError
-from world.config import VehicleParams
 from world.dynamics import coefficients, rk4_step
 from world.vectors import Vec3, Vec5
+from world.vehicle_params import VehicleParams
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

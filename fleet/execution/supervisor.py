@@ -34,14 +34,15 @@ from fleet.processes.children import (
     Child,
     Children,
     Exit,
-    RunFolder,
     describe_exit,
     ended,
     forkserver_death,
     forkserver_suspended,
     suspended,
 )
-from fleet.processes.limits import allow_open_files, free_port, processors
+from fleet.processes.limits import allow_open_files, processors
+from fleet.processes.ports import free_port
+from fleet.processes.run_folder import RunFolder
 from fleet.recorder.journal import Journal
 from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every

@@ -10,9 +10,6 @@ from fleet.checks.sides import Sides
 from fleet.protocols.bidder import rounds_needed
 from fleet.protocols.bundle_auction import places_of
 
-# --- auction checks
-# Checks on what the auction of places promises.
-
 
 class NoConflict:
     """No two living vehicles claim one place for longer than the auction needs."""

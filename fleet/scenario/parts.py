@@ -33,8 +33,8 @@ from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig, Modem
 from netem.vehicle_clock import VehicleClock
-from world.config import VehicleParams
 from world.vectors import Vec3, Vec5
+from world.vehicle_params import VehicleParams
 
 
 class UnknownValueError(FleetError):

@@ -16,9 +16,10 @@ from agents.controllers import CONTROLLERS
 from agents.offset import Offset
 from agents.profiles import profile
 from agents.trajectory import StraightLine
-from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleParams, VehicleSetup, WorldConfig
+from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleSetup, WorldConfig
 from world.sea import World
 from world.vectors import Vec3, Vec5, minus
+from world.vehicle_params import VehicleParams
 
 TICK_NS = 10_000_000
 OFFSETS: tuple[Vec3, ...] = ((0.0, 0.0, 0.0), (0.0, -10.0, 0.0), (10.0, -10.0, 0.0), (10.0, 0.0, 0.0))

@@ -9,8 +9,7 @@ from netem.draws import normal
 from netem.wire.messages import Fix, WorldFault
 from world.navigation.config import DeadReckoning
 from world.navigation.filter import BOTTOM, CE, CN, LOST, PSI, WATER, E, N, NavigationFilter, S
-from world.navigation.fixes import Fixes
-from world.navigation.instruments import PURPOSE, Instruments
+from world.navigation.instruments import PURPOSE, Fixes, Instruments
 from world.vectors import Vec3, Vec5
 
 # x, y, z [m, NED], theta, psi [rad], u, v, w [m/s, body, over ground], q, r [rad/s]

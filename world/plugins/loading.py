@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from world.errors import PluginError
-from world.plugins.checks import article, place_of, shown_path, words_of
+from world.plugins.checks import article
+from world.plugins.error_place import place_of, shown_path, words_of
 from world.plugins.trust import ONLY_INSTALLED, Permission, permit, permit_file
 
 if TYPE_CHECKING:

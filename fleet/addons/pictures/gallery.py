@@ -59,7 +59,7 @@ from fleet.logs.topic_names import link_topic
 from fleet.notebook import Pictures
 from fleet.palette import COLOURS
 from fleet.result.file import ResultError, read_result
-from fleet.result.result import Spread, Timing
+from fleet.result.timing import Spread, Timing
 from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.signals import parse_name
 from netem.cause import Cause

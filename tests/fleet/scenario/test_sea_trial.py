@@ -8,9 +8,9 @@ import pytest
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.sections.modem_files import load_modem
 from netem.cause import Cause
-from netem.fading import gain_db
 from netem.modem import AcousticConfig
 from netem.network import Netem
+from netem.propagation import gain_db
 
 # Loss (not detected or not decoded) from row to column, nodes 21, 22, 27, 28, 29: org-arl/unet-contrib,
 # archive/samples/mission2012/Mission2012Channel.groovy, after Chitre et al., OCEANS 2013 Bergen.

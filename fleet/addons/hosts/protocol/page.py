@@ -29,7 +29,7 @@ from netem.limits import WIRE_MESSAGE
 from netem.wire.credentials import LEASE_MS
 from netem.wire.fields import Route, WireRecord
 from netem.wire.messages import PROTOCOL_VERSION, Message, TimedFault, WorldFault
-from world.config import VehicleParams
+from world.vehicle_params import VehicleParams
 
 # --- slice fields
 # An agent's slice of the scenario, field by field, for the protocol page; a test compares it with the declarations.

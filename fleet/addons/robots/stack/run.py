@@ -25,8 +25,9 @@ from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
 from fleet.execution.operator import Operator
 from fleet.execution.runner import Closing
-from fleet.processes.children import Children, Exit, RunFolder, describe_exit
-from fleet.processes.limits import free_port
+from fleet.processes.children import Children, Exit, describe_exit
+from fleet.processes.ports import free_port
+from fleet.processes.run_folder import RunFolder
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.scenario.faults.kind import Kill

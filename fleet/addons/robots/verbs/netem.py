@@ -16,7 +16,7 @@ from fleet.cli.types import Trust
 from fleet.execution.options import OnlyDirectory, Options, RunsFolder
 from fleet.option import Option
 from fleet.terminal.status_line import stderr
-from fleet.terminal.table import say
+from fleet.terminal.width import say
 from netem.clock import Clock
 
 

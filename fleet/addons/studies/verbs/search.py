@@ -25,8 +25,9 @@ from fleet.cli.junit import Junit
 from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Force, Whole
 from fleet.errors import printable
 from fleet.option import Option
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import Piece, say
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.addons.studies.engine import Engine

@@ -107,7 +107,7 @@ class LocalizationParams:
 
     method: Method
     gate: float  # chi-square with 1 degree of freedom: a range that fits worse is refused
-    mirror: bool = False  # whether it keeps the mirror image of its place (agents/localization/localizer.py)
+    mirror: bool = False  # whether it keeps the mirror image of its place (agents/localization/mirror_image.py)
     nis: bool = False  # whether it reports the mean NIS of the ranges that it used
 
 
@@ -123,23 +123,23 @@ class Law:
 class AgentConfig:
     """One agent's slice of the scenario."""
 
-    id: int
-    seed: int
-    tick_ns: int
-    round_ticks: int
+    id: int  # number of its vehicle, from 1
+    seed: int  # of the run
+    tick_ns: int  # control period Ts
+    round_ticks: int  # m, ticks from one transmission to the next
     offset: Offset  # p_i [m, NED]: eta_i^d = eta_1^d + p_i
     reference: Reference | None  # eta_1^d (eq. 11); None: this agent does not know it
     reference_weight: float  # b_i [1]
-    neighbours: tuple[Neighbour, ...]
-    extrapolation: Extrapolation
+    neighbours: tuple[Neighbour, ...]  # those that it may hear
+    extrapolation: Extrapolation  # how an old position of a neighbour is carried on
     age_cap_s: float  # what is older is extrapolated no further; 0: any
     drop_after_s: float  # a neighbour not heard for longer has no weight until it is heard again; 0: never
-    guidance: GuidanceParams
-    tracking: TrackingParams
+    guidance: GuidanceParams  # of the law for the velocity
+    tracking: TrackingParams  # of the law for the forces
     vehicle: VehicleParams  # the controller's model of its own vehicle
     tau_max: Vec3  # N, N m, N m
-    guidance_law: Law = Law("optimal")
-    tracking_law: Law = Law("neurodynamic")
+    guidance_law: Law = Law("optimal")  # turns the sample into a commanded velocity
+    tracking_law: Law = Law("neurodynamic")  # turns the commanded velocity into forces
     controller: Law | None = None  # in place of guidance and tracking
     agent: Law | None = None  # in place of everything
     on_error: OnError = "abort"  # what follows when a law fails
@@ -152,7 +152,17 @@ class AgentConfig:
     moored: bool = False  # its vehicle does not move, so a whole agent need not steer
 
     def desired(self, t: float) -> Motion:
-        """Where to be at time t [s], and how to move: pd_i = eta_1^d + p_i. Raises ValueError: it is not known."""
+        """Say where the vehicle should be: pd_i = eta_1^d + p_i.
+
+        Args:
+            t: time [s].
+
+        Returns:
+            The position [m, NED] and the velocity [m/s, NED].
+
+        Raises:
+            ValueError: this agent does not know the reference.
+        """
         if self.reference is None:
             raise ValueError(f"agent {self.id} is not told the reference (knows_reference: false), only what it hears")
         reference = self.reference.at(t)
@@ -162,13 +172,23 @@ class AgentConfig:
         return Motion(plus(reference.position, own.position), plus(reference.velocity, own.velocity))
 
     def to_values(self) -> dict[str, Any]:
-        """Plain maps, sequences and scalars (MessagePack values), in the order of the declarations."""
+        """Write the slice for another process, host or language.
+
+        Returns:
+            Plain maps, sequences and scalars (MessagePack values), in the order of the declarations.
+        """
         values: dict[str, Any] = msgspec.to_builtins(self)
         return values
 
     @classmethod
     def from_values(cls, values: dict[str, Any]) -> AgentConfig:
-        """The inverse of `to_values`; every value must be of its declared type.
+        """Read a slice.
+
+        Args:
+            values: as `to_values` returns them; every value must be of its declared type.
+
+        Returns:
+            The slice.
 
         Raises:
             ValueError: a value is of another type, or missing within a map.

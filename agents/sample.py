@@ -12,7 +12,7 @@ from world.vectors import Vec3, Vec5
 class NeighbourState(NamedTuple):
     """An agent's knowledge of one neighbour that it has heard."""
 
-    id: int
+    id: int  # its number, from 1
     weight: float  # a_ij [1]
     offset: Vec3  # Delta_ij = p_i - p_j, what to keep from it [m, NED]
     position: Vec3  # where it should be now, extrapolated as the scenario says [m, NED]
@@ -23,11 +23,11 @@ class NeighbourState(NamedTuple):
 
 
 class VelocityCommand(NamedTuple):
-    """The demand of guidance on tracking: speed [m/s], pitch and course of the velocity [rad, NED]."""
+    """The demand of guidance on tracking."""
 
-    speed: float
-    theta: float
-    psi: float
+    speed: float  # m/s
+    theta: float  # pitch of the velocity [rad, NED], up > 0
+    psi: float  # course of the velocity [rad, NED], from north to east
 
 
 class Sample(NamedTuple):
@@ -49,10 +49,11 @@ class Sample(NamedTuple):
     belief: tuple[float, ...] = ()  # covariance of own x, y, z, psi [m, rad]: upper triangle, row by row; () if unknown
 
     def rng(self) -> Random:
-        """A random generator for this vehicle and tick; call this once per sample.
+        """Make the random generator of this vehicle and tick; call this once per sample.
 
-        It is seeded from (scenario seed, vehicle, tick), so a law needs no memory of it, and what it draws does
-        not depend on what was drawn before.
+        Returns:
+            A generator seeded from (scenario seed, vehicle, tick). So a law needs no memory of it, and what it draws
+            does not depend on earlier draws.
         """
         return Random(self.seed)
 

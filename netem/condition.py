@@ -42,7 +42,7 @@ class Condition:
     delay_ns: int = 0
     jitter_ns: int = 0  # scale of the distribution round the delay
     loss: float = 0.0
-    up: bool = True
+    up: bool = True  # False: nothing passes
     loss_correlation: float = 0.0
     loss_model: FourState | GilbertElliott | None = None  # in place of `loss`
     delay_correlation: float = 0.0
@@ -69,8 +69,11 @@ def condition_values(condition: Condition) -> dict[str, Any]:
 
 
 def condition_from_values(values: dict[str, Any]) -> Condition:
-    """The inverse of `condition_values`. Raises msgspec.ValidationError: a value does not have the type that is
-    declared for it."""
+    """Read what `condition_values` has written.
+
+    Raises:
+        msgspec.ValidationError: a value does not have the type that is declared for it.
+    """
     match values.get("loss_model"):
         case [name, {**model}]:
             values = values | {"loss_model": {"type": name, **model}}

@@ -34,7 +34,15 @@ class Effective(NamedTuple):
 
 
 def share_below(p: float, rho: float) -> float:
-    """The share of correlated numbers that lie below p."""
+    """Compute how often a correlated number lies below a bound.
+
+    Args:
+        p: the bound, a probability [1].
+        rho: correlation of one number with the next [1].
+
+    Returns:
+        The share in the long run [1].
+    """
     if not 0.0 < p < 1.0 or not 0.0 < rho < 1.0:
         return min(max(p, 0.0), 1.0)
     total = p
@@ -59,7 +67,11 @@ def _psi(k: int, rho: float) -> tuple[float, float]:
 
 
 def effective(condition: Condition) -> list[Effective]:
-    """Every probability of a condition that a correlation changes, in the order of the grammar."""
+    """List what correlations change.
+
+    Returns:
+        Each probability of the condition that a correlation changes, in the order of the grammar.
+    """
     c = condition
     asked = [
         ("loss", 0.0 if c.loss_model is not None else c.loss, c.loss_correlation),
@@ -78,9 +90,10 @@ def effective(condition: Condition) -> list[Effective]:
 
 
 def lost_share(condition: Condition) -> float:
-    """The share of packets that a condition loses in the long run.
+    """Compute how much a condition loses in the long run.
 
-    Packets that do not fit into its queue are not counted.
+    Returns:
+        The share of packets that are lost [1], without those that do not fit into the queue.
     """
     c = condition
     if not c.up:

@@ -82,8 +82,15 @@ NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {}, {}, 
 
 
 def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
-    """The joint effect of the faults that are active at a tick. `faults`: all faults, ordered by their begin. If two
-    faults contradict each other, the later one applies."""
+    """Add up the faults that are active at a tick. If two contradict each other, the later one applies.
+
+    Args:
+        faults: all faults, ordered by their begin.
+        tick: of simulated time.
+
+    Returns:
+        Their joint effect.
+    """
     active = [fault for fault in faults if fault.active(tick)]
     if not active:
         return NO_FAULTS
@@ -120,7 +127,16 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
 
 
 def release_tick(faults: tuple[NetFault, ...], link: Link, tick: int) -> int | None:
-    """The first tick, from `tick` on, at which no fault holds the packets of a link. None: one lasts to the end."""
+    """Look when the packets of a link go on.
+
+    Args:
+        faults: all faults, ordered by their begin.
+        link: that holds its packets.
+        tick: from which on.
+
+    Returns:
+        The first tick at which no fault holds packets of the link; None: a fault lasts to the end.
+    """
     holds = [fault for fault in faults if fault.kind == "hold" and link in fault.links]
     while over := [fault.end for fault in holds if fault.active(tick)]:
         if None in over:

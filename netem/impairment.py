@@ -83,9 +83,17 @@ class LinkModel:
         self._state = before._state
 
     def enter(self, now_ns: int, seq: int, payload: bytes, over: Condition | None = None) -> list[LinkOutcome]:
-        """The outcome of packet `seq`, sent at `now_ns`; a second outcome if the link duplicates it. `over` is the
-        condition of a fault that lies over the link's own. A packet that is both duplicated and lost goes on as one, as
-        in the kernel."""
+        """Decide on a packet. If it is both duplicated and lost, one goes on, as in the kernel.
+
+        Args:
+            now_ns: when it enters the link [ns].
+            seq: its number on the link, from 0.
+            payload: its bytes.
+            over: the condition of a fault, in place of the link's own.
+
+        Returns:
+            The outcome of the packet, and of its duplicate if the link makes one.
+        """
         c = self.condition if over is None else over
         self._use(c)
         if not c.up:

@@ -62,8 +62,12 @@ class Ledger:
         account.duplicated += duplicated
 
     def settle(self, fates: Iterable[Fate]) -> None:
-        """Count final fates. Raises KeyError: a fate names a link that does not exist; ValueError: a fate's cause is
-        not a declared one."""
+        """Count final fates.
+
+        Raises:
+            KeyError: a fate names a link that does not exist.
+            ValueError: the cause of a fate is not a declared one.
+        """
         for fate in fates:
             account = self.accounts[(fate.src, fate.dst)]
             if fate.cause == Cause.DELIVERED:

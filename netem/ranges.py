@@ -215,7 +215,13 @@ class TwoWay(OneWay):
 
 
 def make_ranges(config: NetemConfig, air: Air, receivers: Mapping[int, Sequence[int]]) -> NoRanges:
-    """The ranges that the modems of a run measure."""
+    """Make the ranges that the modems of a run measure.
+
+    Args:
+        config: of the network.
+        air: the transmissions that can be heard, and the places of the vehicles.
+        receivers: by sender, in the order in which they may send requests.
+    """
     acoustic = config.acoustic
     if acoustic is None or acoustic.ranging is None:
         return NoRanges()

@@ -19,24 +19,28 @@ from world.vectors import Vec5
 class VehicleParams:
     """Parameters of the 5-DOF underactuated vehicle (eqs. 1-2); `world/vehicles` holds numbers with their sources."""
 
-    m: float
-    Iy: float
+    m: float  # kg
+    Iy: float  # kg m^2
     Iz: float
-    beta_udot: float
+    beta_udot: float  # kg
     beta_vdot: float
     beta_wdot: float
-    beta_qdot: float
+    beta_qdot: float  # kg m^2
     beta_rdot: float
-    beta_u: float
+    beta_u: float  # kg/s
     beta_v: float
     beta_w: float
-    beta_q: float
+    beta_q: float  # kg m^2/s
     beta_r: float
-    beta_b: float
+    beta_b: float  # N m
 
     @property
     def inertia(self) -> Vec5:
-        """m1..m5 [kg, kg, kg, kg m^2, kg m^2]: mass matrix diagonal as printed below eq. (2)."""
+        """Add the added mass up, as printed below eq. (2).
+
+        Returns:
+            The diagonal m1..m5 of the mass matrix [kg, kg, kg, kg m^2, kg m^2].
+        """
         return (
             self.m - self.beta_udot,
             self.m - self.beta_vdot,

@@ -19,7 +19,13 @@ TWO_PI = 2.0 * pi
 
 
 def wrap(angle: float) -> float:
-    """The angle [rad] in (-pi, pi] that differs from `angle` by whole turns.
+    """Bring an angle into one turn.
+
+    Args:
+        angle: any angle [rad].
+
+    Returns:
+        The angle [rad] in (-pi, pi] that differs from it by whole turns.
 
     Raises:
         ValueError: the angle is infinite.
@@ -36,8 +42,11 @@ class RateFilter:
     __slots__ = ("_alpha", "_angle", "_dt", "_tau_f", "rate", "value")
 
     def __init__(self, tau_f: float, *, angle: bool = False) -> None:
-        """Begin without a sample. `tau_f`: time constant [s]; 0 does not filter. `angle`: the signal is an angle [rad].
-        Its differences are wrapped to (-pi, pi].
+        """Begin without a sample.
+
+        Args:
+            tau_f: time constant [s]; 0 does not filter.
+            angle: the signal is an angle [rad], and its differences are wrapped to (-pi, pi].
         """
         self._tau_f = tau_f
         self._angle = angle
@@ -46,7 +55,15 @@ class RateFilter:
         self.rate = 0.0
 
     def step(self, value: float, dt: float) -> float:
-        """Take one sample. `dt`: time since the sample before [s]. Returns the rate [unit of the value per s]."""
+        """Take one sample.
+
+        Args:
+            value: of the signal, in its unit.
+            dt: time since the sample before [s].
+
+        Returns:
+            The rate [unit of the value per s].
+        """
         previous = self.value
         self.value = value
         if previous is None:

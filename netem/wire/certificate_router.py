@@ -24,8 +24,16 @@ class CertificateRouter:
     """Listens with mutual TLS, and passes messages between the agents of `listener.certified` and the run's router."""
 
     def __init__(self, run: Bus, keys: Keys, vehicles: tuple[int, ...], listener: Listener) -> None:
-        """Open the router beside that of the session `run`. Agent i may join here if its role is in
-        `listener.certified`. Raises BusError if an endpoint is in use, or this process may not listen on it.
+        """Open the router beside that of a run.
+
+        Args:
+            run: the session of the run.
+            keys: of the run.
+            vehicles: all of them; agent i may join here if its role is in `listener.certified`.
+            listener: endpoints and certificates.
+
+        Raises:
+            BusError: an endpoint is in use, or this process may not listen on it.
         """
         agents = tuple(i for i in vehicles if agent_role(i) in listener.certified)
         settings = {

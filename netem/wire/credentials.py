@@ -56,7 +56,11 @@ class Credentials:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Credentials:
-        """Read such a file; other entries are ignored. Raises TypeError without user or password."""
+        """Read such a file; other entries are ignored.
+
+        Raises:
+            TypeError: there is no user or no password.
+        """
         return cls(**{each.name: values[each.name] for each in fields(cls) if each.name in values})
 
 
@@ -75,7 +79,17 @@ class Listener:
 def generate(
     vehicles: tuple[int, ...], *, hosts: Members = (), prefix: str = "", world: bool = False
 ) -> dict[str, Credentials]:
-    """Fresh credentials for every client of a run, by role; the arguments are those of `access_control`."""
+    """Make fresh credentials for every client of a run.
+
+    Args:
+        vehicles: as for `access_control`.
+        hosts: likewise.
+        prefix: likewise.
+        world: likewise.
+
+    Returns:
+        The credentials, by role.
+    """
     roles = [CONSOLE, NETEM, OPERATOR, *map(agent_role, _alone(vehicles, hosts)), *([WORLD] if world else [])]
     roles += [host_role(h) for h in range(1, len(hosts) + 1)]
     return {role: Credentials(prefix + role, secrets.token_urlsafe(24)) for role in roles}

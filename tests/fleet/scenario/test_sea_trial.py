@@ -59,7 +59,8 @@ def test_the_model_of_the_water_resembles_the_trial() -> None:
     means, differences, correlations = [], [], []
     for seed in range(1, 401):
         slow = [
-            [fading_gain_db(seed, i, j, 0, acoustic.shadowing, 0, None) if i != j else 0.0 for j in range(5)] for i in range(5)
+            [fading_gain_db(seed, i, j, 0, acoustic.shadowing, 0, None) if i != j else 0.0 for j in range(5)]
+            for i in range(5)
         ]
         loss = 1 - np.exp(-(10 ** (-(margin + slow) / 10)))  # Rayleigh: the power of a packet is exponential
         means.append(loss[LINKS].mean())

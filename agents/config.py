@@ -51,7 +51,8 @@ class GuidanceParams:
     qp_ticks: int  # the QP runs on ticks divisible by this
     horizon_s: float  # prediction step Delta t of eq. 18
     cost: Cost = "printed"
-    solver: Solver = "piqp"  # of the gain: its exact formula alone, or PIQP beside it; the gain is the same
+    # How the gain is solved: by its exact formula alone, or with PIQP beside it. The gain is the same.
+    solver: Solver = "piqp"
     slew: float = 0.0  # m/s^2 per axis on rho; 0: off
 
 
@@ -81,7 +82,7 @@ class TrackingParams:
 class Cylinder:
     """A vertical cylinder that no vehicle may enter, from the surface to the bottom."""
 
-    north: float  # m, of its axis
+    north: float  # m, where its axis is
     east: float  # m
     radius: float  # m
 
@@ -90,13 +91,13 @@ class Cylinder:
 class KeepApartParams:
     """The filter that keeps vehicles apart (agents/laws/keep_apart.py)."""
 
-    distance: float  # m, of any two vehicles
+    distance: float  # m, least distance of any two vehicles
     obstacles: tuple[Cylinder, ...]
-    gain: float  # 1/s, of the barrier
+    gain: float  # 1/s, gain of the barrier
     lag_s: float  # longest lag of the velocity behind the command
     slew: float  # m/s^2 per axis, limit of how fast the filter changes the command
     acceleration: float  # m/s^2, limit of what a neighbour does
-    speed: float  # m/s, likewise; and on each horizontal axis the limit of what the filter commands
+    speed: float  # m/s, limit of a neighbour's speed, and on each horizontal axis of what the filter commands
     climb: float  # m/s, up or down, the limit of what is commanded
     age_cap_s: float  # what is older is extrapolated no further, and its margin grows no more
 
@@ -123,7 +124,7 @@ class Law:
 class AgentConfig:
     """One agent's slice of the scenario."""
 
-    id: int  # number of its vehicle, from 1
+    id: int  # number of the vehicle, from 1
     seed: int  # of the run
     tick_ns: int  # control period Ts
     round_ticks: int  # m, ticks from one transmission to the next
@@ -134,19 +135,19 @@ class AgentConfig:
     extrapolation: Extrapolation  # how an old position of a neighbour is carried on
     age_cap_s: float  # what is older is extrapolated no further; 0: any
     drop_after_s: float  # a neighbour not heard for longer has no weight until it is heard again; 0: never
-    guidance: GuidanceParams  # of the law for the velocity
-    tracking: TrackingParams  # of the law for the forces
+    guidance: GuidanceParams  # parameters of the law for the velocity
+    tracking: TrackingParams  # parameters of the law for the forces
     vehicle: VehicleParams  # the controller's model of its own vehicle
     tau_max: Vec3  # N, N m, N m
     guidance_law: Law = Law("optimal")  # turns the sample into a commanded velocity
     tracking_law: Law = Law("neurodynamic")  # turns the commanded velocity into forces
-    controller: Law | None = None  # in place of guidance and tracking
-    agent: Law | None = None  # in place of everything
+    controller: Law | None = None  # one law in place of guidance and tracking
+    agent: Law | None = None  # a whole agent in place of all laws
     on_error: OnError = "abort"  # what follows when a law fails
     budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
-    codec: Codec = "full"  # of what it sends: agents.payload, agents.compact or agents.localization.payload
+    codec: Codec = "full"  # format of its messages: agents.payload, agents.compact or agents.localization.payload
     standby_for: tuple[int, ...] = ()  # while it hears none of these neighbours it follows the reference itself
-    standby_after_s: float = 0.0  # for so long
+    standby_after_s: float = 0.0  # how long the agent must hear none of them before it follows the reference [s]
     keep_apart: KeepApartParams | None = None  # between guidance and tracking; None: nothing is there
     localization: LocalizationParams | None = None  # between navigation and guidance; None: nothing is there
     moored: bool = False  # its vehicle does not move, so a whole agent need not steer

@@ -39,7 +39,7 @@ class _Version(msgspec.Struct):
 
 
 class JoinFile(msgspec.Struct, frozen=True):
-    endpoint: str  # of the run's router, as zenoh writes it; several have commas between them
+    endpoint: str  # where the run's router listens, as zenoh writes it; several have commas between them
     run: Name  # the run's id: its keys begin with fleet/<run>/
     vehicle: Annotated[int, Meta(ge=1)]
     user: Name

@@ -22,7 +22,8 @@ class Offset:
     """An offset that may change: p_i(t), or Delta_ij(t) = p_i(t) - p_j(t)."""
 
     start: Vec3  # m, NED
-    changes: tuple[OffsetChange, ...] = field(default=())  # in order of time, none before the one before is complete
+    # In order of time; no change begins before the one before is complete.
+    changes: tuple[OffsetChange, ...] = field(default=())
 
     def at(self, t: float) -> Motion:
         """The offset [m, NED] and its rate [m/s] at time t [s].

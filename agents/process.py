@@ -27,8 +27,10 @@ from netem.wire.vehicle_bus import AgentEnd
 log = logging.getLogger(__name__)
 
 READY_TIMEOUT_S = 30.0
-RETRY_S = 0.02  # and twice as long each further time: the probes of a thousand agents would fill all queues
-RAREST_S = 5.0  # between two probes
+# The first wait for an answer to a probe. Each further one is twice as long, or the probes of a thousand agents would
+# fill all queues.
+RETRY_S = 0.02
+RAREST_S = 5.0  # the longest time between two probes
 POLLS = 20  # looks at the queues between two probes
 CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that the run shall end
 

@@ -33,7 +33,7 @@ class VelocityCommand(NamedTuple):
 class Sample(NamedTuple):
     """All that a law may know at one control sample."""
 
-    tick: int  # of simulated time: counts samples, however the vehicle's clock goes
+    tick: int  # counts samples in simulated time, however the vehicle's clock goes
     t: float  # time by the vehicle's clock [s]; simulated time where none is set
     dt: float  # simulated time since the previous sample [s]; one tick, and more after samples that were missed
     eta: Vec5  # own measured x, y, z [m, NED], theta, psi [rad]
@@ -44,7 +44,7 @@ class Sample(NamedTuple):
     neighbours: tuple[NeighbourState, ...]  # those heard so far, by number
     e: Vec3  # consensus error [m, NED], eq. (8)
     c: float  # sum of the weights in e [1]
-    seed: str  # of this vehicle's random numbers at this tick
+    seed: str  # seed of this vehicle's random numbers at this tick
     roll: tuple[float, ...] = ()  # own measured phi [rad], p [rad/s] of a vehicle with a plant; in `velocity` already
     belief: tuple[float, ...] = ()  # covariance of own x, y, z, psi [m, rad]: upper triangle, row by row; () if unknown
 

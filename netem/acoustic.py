@@ -70,11 +70,12 @@ class AcousticChannel:
         self._acoustic = config.acoustic
         self._longest = {i: config.acoustic.longest(config.tick_ns, i) for i in config.vehicles}
         self._stations = {i: Station(i) for i in sorted(config.vehicles)}
-        self._transfers: dict[int, Transfer] = {}  # of modems with `tries`
-        self._answers: list[Answer] = []  # acknowledgements that are due
+        # By sender. Only modems with `tries` have transfers.
+        self._transfers: dict[int, Transfer] = {}
+        self._answers: list[Answer] = []  # acknowledgements that are not sent yet
         self._access = Access(config, config.acoustic)
         self._air = Air(config.acoustic, config.seed, config.tick_ns)
-        self._receptions: list[Reception] = []  # those that have not ended
+        self._receptions: list[Reception] = []  # receptions that have not ended
         self._asks = config.acoustic.ranging is not None and config.acoustic.ranging.method == "two-way"
         self._ranges = make_ranges(config, self._air, links.receivers)
 
@@ -173,7 +174,7 @@ class AcousticChannel:
             self._schedule(station, joins.ready_tick)
         if station.start_tick is None or station.start_tick > now:
             return
-        if station.free_tick > now:  # it is answering somebody
+        if station.free_tick > now:  # the modem is answering another one
             station.start_tick = self._access.next_start(station, station.free_tick)
         elif self._acoustic.mac == "csma" and (idle := self._air.idle_tick(src, now)) > now:
             station.start_tick = self._access.next_start(station, idle)
@@ -281,7 +282,7 @@ class AcousticChannel:
             whole = Reception(
                 begin, end, start, range_m or 0.0, 0, src, dst, sent.seq, 0, sent.sent_tick, sent.payload, False
             )
-            if transfer is not None:  # its fate is known before the modem gives up
+            if transfer is not None:  # the fate of a try is known before the modem gives up
                 transfer.deadline_tick = max(transfer.deadline_tick, self._end_tick(whole))
             if link in faults.cut:
                 self._lose(whole, start, faults.cut[link])

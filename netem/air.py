@@ -12,7 +12,8 @@ from netem.propagation import decibels, fading_gain_db, power
 from netem.station import ANSWER, REPLY, REQUEST, Burst, Reception
 
 SNR, CAPTURE = "snr", "capture"  # purposes of draws
-_SHORT = {ANSWER: "acknowledgement", REQUEST: "range request", REPLY: "range reply"}  # in the place of SNR
+# Short packets have draws of their own, in the place of SNR.
+_SHORT = {ANSWER: "acknowledgement", REQUEST: "range request", REPLY: "range reply"}
 
 
 class Air:

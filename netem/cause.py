@@ -25,7 +25,7 @@ class Cause(StrEnum):
     # Of every network again.
     DEAF = "deaf"
     DEAD_RECEIVER = "dead receiver"
-    RECEIVER = "receiver"  # of `fleet netem`: a program did not take it
+    RECEIVER = "receiver"  # with `fleet netem`: a program did not take the message
 
     DELIVERED = "delivered"
     IN_FLIGHT = "in flight"

@@ -44,7 +44,7 @@ class Condition:
     loss: float = 0.0
     up: bool = True  # False: nothing passes
     loss_correlation: float = 0.0
-    loss_model: FourState | GilbertElliott | None = None  # in place of `loss`
+    loss_model: FourState | GilbertElliott | None = None  # a model in place of `loss`
     delay_correlation: float = 0.0
     distribution: Distribution = "uniform"
     duplicate: float = 0.0
@@ -57,7 +57,7 @@ class Condition:
     rate_bit_s: int = 0  # 0: any
     rate_overhead: int = 0  # bytes per packet
     limit: int = DEFAULT_LIMIT
-    seed: int | None = None  # of this link's draws; None: the scenario's
+    seed: int | None = None  # seed of this link's draws; None: the scenario's
 
 
 def condition_values(condition: Condition) -> dict[str, Any]:

@@ -113,9 +113,9 @@ def _four_state_loss(model: FourState) -> float:
     if not model.p13:
         burst = lost = 0.0
     elif model.p32 and not model.p23:
-        return 0.0  # it stays where packets of a burst arrive
+        return 0.0  # the model stays where packets of a burst arrive
     elif not model.p31:
-        gap = alone = 0.0  # it never leaves the burst
+        gap = alone = 0.0  # the model never leaves the burst
         lost, burst = 1.0, model.p32 / model.p23 if model.p32 else 0.0
     else:
         lost = model.p13 / model.p31

@@ -22,11 +22,11 @@ class NetFault(TimedFault, frozen=True):
     """A fault of the network."""
 
     kind: NetFaultKind
-    links: tuple[Link, ...] = ()  # of link, down, up, partition, hold, duplicate
-    vehicles: tuple[int, ...] = ()  # of mute, deaf, slow, clock
-    condition: Condition | None = None  # of link
-    ticks: int = 0  # of slow: how late; of duplicate: how much later the copy comes
-    values: tuple[float, ...] = ()  # of clock: step [s] and drift [s/s]; of hold: 1 if the order is reversed
+    links: tuple[Link, ...] = ()  # links of a link, down, up, partition, hold or duplicate
+    vehicles: tuple[int, ...] = ()  # vehicles of a mute, deaf, slow or clock
+    condition: Condition | None = None  # condition of a link
+    ticks: int = 0  # slow: how late packets are; duplicate: how much later the copy comes
+    values: tuple[float, ...] = ()  # clock: step [s] and drift [s/s]; hold: 1 if the order is reversed
 
 
 _CONDITION = NetFault.__struct_fields__.index("condition")
@@ -68,14 +68,14 @@ def read_faults(values: Any) -> tuple[NetFault, ...]:
 class ActiveFaults(NamedTuple):
     """The combined effect of the faults that are active at a tick."""
 
-    conditions: dict[Link, Condition]  # in place of the link's own
+    conditions: dict[Link, Condition]  # conditions in place of the links' own
     cut: dict[Link, Cause]  # links that lose everything, with the cause
     mute: frozenset[int]
     deaf: frozenset[int]
     up: frozenset[Link]  # links that are up whatever their own condition says
     slow: dict[int, int]  # vehicle -> by how many ticks what it sends is late
     hold: dict[Link, bool]  # links whose packets are kept; true: the last one comes first
-    again: dict[Link, int]  # by how many ticks later a copy of it comes
+    again: dict[Link, int]  # how many ticks later a copy of each packet comes
 
 
 NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {}, {}, {})

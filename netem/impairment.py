@@ -27,7 +27,7 @@ from netem.cause import Cause
 from netem.condition import Condition, FourState, GilbertElliott, Link
 from netem.draws import bits, packed, unit
 
-GOOD, BAD = 0, 1  # of Gilbert and Elliott
+GOOD, BAD = 0, 1  # the states of Gilbert and Elliott
 
 # iproute2's tables for Pareto: shape 3, shifted to mean 0, scaled by 4/3 and cut at 32767 / 8192.
 _PARETO_SHAPE, _PARETO_MEAN, _PARETO_SCALE, _PARETO_MOST = 3.0, 1.5, 4.0 / 3.0, 32767.0 / 8192.0

@@ -16,7 +16,7 @@ class Limit(NamedTuple):
     bytes: int = 0
     items: int = 0
     counted: str = ""  # what `items` is the number of
-    depth: int = 0  # of things within each other
+    depth: int = 0  # how many things may lie within each other
 
 
 # After aliases: ten lines of aliases to aliases can stand for 10^10 values.

@@ -74,7 +74,7 @@ class StateProcess:
         self._key = packed(seed, *(states.shared or link))  # the beginning of the key of all draws
         prefix = SHARED if states.shared else ""
         self._of_state, self._of_stay = prefix + STATE, prefix + STAY
-        self._begin_ns = self._end_ns = 0  # of the state that is known
+        self._begin_ns = self._end_ns = 0  # when the state that is known begins and ends
         self._restart()
 
     def state(self, at_ns: int) -> int:

@@ -23,8 +23,8 @@ class MediumRound(NamedTuple):
     tick: int  # the round tick k
     until: int  # the next round tick
     transmissions: Mapping[int, tuple[bytes, ...]]  # payloads by sender
-    positions: Mapping[int, Place] | None  # of everyone alive; None: unknown
-    faults: ActiveFaults  # at the round tick
+    positions: Mapping[int, Place] | None  # places of everyone alive; None: unknown
+    faults: ActiveFaults  # the faults at the round tick
     clocks: Clocks | None = None  # None: all are right
 
 

@@ -90,7 +90,7 @@ class AcousticConfig:
     guard_ns: int = DEFAULT_GUARD_NS  # tdma: of each slot, kept silent for propagation
     buffer: int = 1  # payloads that wait in a modem
     sound_speed: float = SOUND_SPEED  # m/s
-    water: propagation.SeaWater | None = None  # that absorbs sound; None: Thorp's, of 4 deg C
+    water: propagation.SeaWater | None = None  # the water that absorbs sound; None: Thorp's, of 4 deg C
     spreading: float = 1.5  # 1 cylindrical, 1.5 practical, 2 spherical
     excess: float = 0.0  # dB, lost in addition to spreading and absorption
     shipping: float = 0.5  # 0 none, 1 heavy
@@ -98,7 +98,7 @@ class AcousticConfig:
     shadowing: float = 0.0  # dB, standard deviation of the slow gain of a directed link
     shadowing_ns: int = 0  # after which its correlation is 1/e; 0: it never changes
     rician: float | None = None  # of each packet: power of the steady path over the scattered; 0 Rayleigh, None: none
-    modems: dict[int, Modem] = field(default_factory=dict)  # of the vehicles that carry another one
+    modems: dict[int, Modem] = field(default_factory=dict)  # modems of the vehicles that carry another one
     ranging: RangingConfig | None = None  # None: modems measure no ranges
 
     def modem_of(self, vehicle: int) -> Modem:

@@ -16,8 +16,8 @@ from pathlib import Path
 from types import TracebackType
 
 PREFIX = "uuv-fleet-"
-LOCK = "owner.lock"  # in the folder
-SHORT = "/tmp"  # for who needs a short path
+LOCK = "owner.lock"  # the file in the folder that is locked
+SHORT = "/tmp"  # a place for those who need a short path
 
 
 class PrivateFolder:

@@ -64,7 +64,7 @@ class NetworkProcess(ABC, Generic[R]):
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
-        self._round_parts: list[Round] = []  # of a round that is not whole yet
+        self._round_parts: list[Round] = []  # the parts of a round that is not whole yet
         self._probes = Probes()
         self._counts = {"sent": {"links": 0}, "received": {"round": 0}}
         self._lock = Lock()  # a control request comes on a thread of zenoh

@@ -243,7 +243,7 @@ def fading_gain_db(seed: int, src: int, dst: int, at_ns: int, sigma: float, tau_
 
 
 def _shadowing(seed: int, src: int, dst: int, at_ns: int, tau_ns: int) -> float:
-    if not tau_ns:  # it never changes
+    if not tau_ns:  # the shadowing never changes
         return normal(seed, SHADOWING, src, dst, 0)
     place = at_ns / (tau_ns / 2.0)
     total = power = 0.0

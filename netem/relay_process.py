@@ -34,9 +34,9 @@ from netem.wire.queues import Inlet
 from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, Unfit
 from netem.wire.session import quiet_zenoh
 
-MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
+MOST_KEPT_BYTES = 1_000_000  # the bytes of a longer message are not logged
 MOST_NOTES = 1000
-SILENT_NS = 10_000_000_000  # then another program may take the place of the sender of datagrams
+SILENT_NS = 10_000_000_000  # after such a silence another program may be the sender of datagrams
 SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is named
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
@@ -67,7 +67,7 @@ class Setup(Struct):
     payloads: bool = False
     linked: bool = False  # discovery
     lost_after_ns: int = 0
-    ticks: int = 2**62  # of the run, if nobody ends it
+    ticks: int = 2**62  # the length of the run, if the console does not end it
 
 
 class LoggedMessage(Struct):
@@ -96,7 +96,7 @@ class _Datagram(Struct):
     port: Port
     at_ns: int
     payload: bytes
-    sender: Any  # its address
+    sender: Any  # address of the sending program
 
 
 def run(pipe: Connection, setup: Setup) -> None:

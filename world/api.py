@@ -31,7 +31,7 @@ from world.vehicle_params import VehicleParams
 
 __all__ = ["Plant", "PlantConfig", "PlantState", "Report", "Signal", "Vec3", "Vec5", "Vec6", "VehicleParams", "Water"]
 
-PlantState = tuple[float, ...]  # of one length during a run; every number finite
+PlantState = tuple[float, ...]  # finite numbers, as many in every state of a run
 Report = Mapping[str, float | Sequence[float]]  # by the name of a signal, in its unit
 
 
@@ -41,7 +41,7 @@ class PlantConfig:
 
     vehicle: int  # number of the vehicle, from 1
     tick_s: float  # control period [s]: tau is constant for so long
-    seed: int  # of the run
+    seed: int  # seed of the run
     model: VehicleParams  # the 5-DOF numbers that the controllers use: `vehicle.model` of the scenario
 
 

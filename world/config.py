@@ -52,7 +52,7 @@ class PlantSetup:
     budget_s: float  # the longest that it may take for a tick [s of wall time]; 0: any time
     phi0: float = 0.0  # roll at the start [rad]
     p0: float = 0.0  # roll rate at the start [rad/s]
-    file: str = ""  # of a plant that is an FMU: where it lies; the user has let it run
+    file: str = ""  # where the FMU of the plant lies, which the user has let run; empty: the plant is no FMU
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +85,8 @@ class WorldConfig:
     current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, irrotational; the mean
     drift: tuple[Vec3, float] | None = None  # sigma [m/s, NED] and time constant [s] of a Gauss-Markov part
     noise: NavNoise = field(default_factory=NavNoise)
-    faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
+    faults: tuple[WorldFault, ...] = ()  # faults in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
-    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set
+    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # clocks of the vehicles for which one is set
     moored: bool = False  # vehicles stay where they begin
     keep_going: bool = False  # the run goes on without a vehicle whose motion leaves the finite numbers

@@ -54,8 +54,8 @@ log = logging.getLogger(__name__)
 
 FRAMES_PER_MESSAGE = 10
 FRAMES_WAIT_S = 0.02
-FIX_BYTES = 70  # of a fix in a frame, at most
-ROUND_BYTES = 36  # of a vehicle in a round, at most: two numbers and a position
+FIX_BYTES = 70  # length of a fix in a frame, at most
+ROUND_BYTES = 36  # length of a vehicle in a round, at most: two numbers and a position
 _ECHO = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, True))
 _PROBE = encode(Hello(WORLD, 0, 0, PROTOCOL_VERSION, False))
 

@@ -40,8 +40,8 @@ class Punctuality:
     late: int = 0
     stale: int = 0
     longest: int = 0  # ticks missed in a row
-    silent: int = 0  # ticks of those in which it was taken for silent
-    row: int = 0  # of those just now
+    silent: int = 0  # missed ticks in which the vehicle's agent was taken for silent
+    row: int = 0  # ticks missed in a row just now
 
     def to_values(self) -> dict[str, Any]:
         values = asdict(self)
@@ -62,11 +62,11 @@ class RealtimeRun:
         self._patience = patience
         self._heard = dict.fromkeys(self.state.ids, 0)  # newest tick with an answer, or at which none was asked for
         self._silent: set[int] = set()
-        self._tick = -1  # that is under way
+        self._tick = -1  # the tick that is under way
         self._awaiting: dict[int, Nav] = {}
         self._newest: dict[int, tuple[Command, bytes]] = {}  # not used yet
         self._answered = dict.fromkeys(self.state.ids, -1)  # newest tick answered
-        self._commanded = dict.fromkeys(self.state.ids, ZERO)  # by the newest command that was used
+        self._commanded = dict.fromkeys(self.state.ids, ZERO)  # forces by the newest command that was used
         self._taken: list[tuple[int, int]] = []  # (vehicle, tick) of commands taken, late ones too
 
     @property

@@ -19,7 +19,7 @@ from world.process import WorldProcess
 from world.realtime import RealtimeRun, TickSchedule
 
 AHEAD_NS = 50_000_000  # from the first grant to the first tick
-PATIENCE_NS = 500_000_000  # without an answer, after which an agent is silent
+PATIENCE_NS = 500_000_000  # after such a time without an answer an agent is silent
 LEAST_PATIENCE = 10  # ticks
 REMEMBERED = 1000  # ticks whose answers are still measured
 
@@ -42,7 +42,7 @@ class RealtimeWorldProcess(WorldProcess):
         self._schedule = TickSchedule(round(config.tick_ns / speed))
         patience = max(LEAST_PATIENCE, PATIENCE_NS // self._schedule.period_ns)
         self._realtime = run = RealtimeRun(config, frame_every=frame_every, patience=patience)
-        self._began_ns: dict[int, int] = {}  # by tick, of the last ones
+        self._began_ns: dict[int, int] = {}  # when the last ticks began, by tick
         self._lag, self._gap = Histogram(), Histogram()
         self._response = {i: Histogram() for i in run.state.ids}
         self._gaps = {i: Histogram() for i in run.state.ids}

@@ -77,7 +77,8 @@ class RunState:
         absent = diverged or self.lives.without_agent(i, k)
         changed = absent != (i in self._absent)
         life = self.lives.incarnation(i, k)
-        stillborn = absent and i in self._absent - self._diverged and life > self.life[i]  # it ended before it began
+        # A life may have ended before it began.
+        stillborn = absent and i in self._absent - self._diverged and life > self.life[i]
         self.life[i] = life
         if stillborn:
             self.frames.life(Life(k, i, True, False))
@@ -123,7 +124,7 @@ class RunState:
                     raise
                 self._diverged.add(i)
                 if i in self._absent:
-                    self.frames.life(Life(k + 1, i, False, True))  # else its agent ends with it
+                    self.frames.life(Life(k + 1, i, False, True))  # if there is an agent, its end says it
                 self.notes.append((i, k, f"error: {error.reason}; vehicle {i} is not integrated any more"))
                 self.world.hold(i)
             else:

@@ -101,7 +101,7 @@ class World:
         self._noise = None if config.noise.off else config.noise
         self.faults = config.faults
         self._held: dict[tuple[str, int], tuple[float, ...]] = {}  # (fault, vehicle): what froze or got stuck
-        self._drifts: dict[str, GaussMarkov] = {}  # of the sea (""), and of faults by id
+        self._drifts: dict[str, GaussMarkov] = {}  # drifts of the sea (""), and of faults by id
         self._tick_s = config.tick_ns / 1e9
         self._h = config.tick_ns / 1e9 / config.substeps
         # Every vehicle feels the same disturbance and all pass the same ticks, some ahead of others.

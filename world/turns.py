@@ -31,12 +31,12 @@ class Turns:
         by default each agent has its own.
         """
         self._round_ticks, self._most, self._process = round_ticks, most, process
-        self._asked: dict[int, Hashable] = {}  # agents that have a turn, and where they are
-        self._holders: dict[Hashable, int] = {}  # how many of them are in each process
+        self._asked: dict[int, Hashable] = {}  # agents that have a turn, and their processes
+        self._holders: dict[Hashable, int] = {}  # how many agents with a turn each process has
         self._waiting: dict[Hashable, Turn] = {}  # navs that wait, by process
         self._ready: deque[Hashable] = deque()  # processes with navs that wait for a turn
-        self._going: deque[Hashable] = deque()  # and with navs that need not, since the process has one
-        self._early: list[tuple[int, Nav]] = []  # for ticks after a round that not all have passed
+        self._going: deque[Hashable] = deque()  # processes with navs that need no turn, since the process has one
+        self._early: list[tuple[int, Nav]] = []  # navs for ticks after a round that not all have passed
         self._passed = -round_ticks  # the last round tick that all have passed
 
     @property

@@ -146,7 +146,7 @@ class NeurodynamicTracking(_Backstepping):
         Signal("x", "m/s, rad/s", "shunting states of u_err, q_err, r_err after the update", 3),
         _DEMAND,
     )
-    uses: ClassVar[frozenset[str]] = _COMMON | {"a", "b_up", "b_down"}  # of TrackingParams
+    uses: ClassVar[frozenset[str]] = _COMMON | {"a", "b_up", "b_down"}  # the fields of TrackingParams that it reads
 
     __slots__ = ("x",)
 

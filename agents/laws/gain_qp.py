@@ -67,7 +67,7 @@ class Solution(NamedTuple):
     """The gain that minimises a problem."""
 
     K: Vec3  # 1/s, diagonal on north, east, down
-    iterations: int = 0  # of PIQP; 0 if it was not needed
+    iterations: int = 0  # PIQP's iterations; 0 if PIQP was not needed
     refused: str = ""  # why PIQP has no solution, or has another one; empty: it agrees
 
 

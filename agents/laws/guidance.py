@@ -27,7 +27,7 @@ class FixedGuidance:
     """rho = -K e + v_d with a constant gain and without bounds: the guidance of NBC, BC and BSMC."""
 
     signals: ClassVar[tuple[Signal, ...]] = (_K,)
-    uses: ClassVar[frozenset[str]] = frozenset({"K0", "slew"})  # of GuidanceParams
+    uses: ClassVar[frozenset[str]] = frozenset({"K0", "slew"})  # the fields of GuidanceParams that it reads
 
     __slots__ = ("_K", "_params", "_rho")
 

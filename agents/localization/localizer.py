@@ -77,24 +77,24 @@ class Localizer(Navigated):
         self._tick_s = config.tick_ns / 1e9
         self._round_ticks = config.round_ticks
         self._params = config.localization
-        self._tick: int | None = None  # of the last sample
+        self._tick: int | None = None  # tick of the last sample
         self._place = (0.0, 0.0)
         self._covariance: Covariance = _NOTHING
         self._depth = 0.0
-        self._own: Covariance = _NOTHING  # of the navigator
+        self._own: Covariance = _NOTHING  # the navigator's covariance
         self._velocity: Vec3 = (0.0, 0.0, 0.0)
         self._way = (0.0, 0.0)  # since the start
         self._history: deque[tuple[int, float, float]] = deque()  # tick, and the way until then
         self._fixed: int | None = None  # tick of the last fix
         self._span: tuple[int, float] | None = None  # its first tick, and the least variance of the navigator in it
         self._alone = True  # no range is in the estimate
-        self.mirror: MirrorImage | None = None  # without the key it is not looked for
+        self.mirror: MirrorImage | None = None  # None: the scenario does not ask for it
         if config.localization is not None and config.localization.mirror:
             self.mirror = MirrorImage()
         self._navigator: tuple[float, float] = (0.0, 0.0)  # what the navigator believes alone
         self.used = 0
         self.refused = 0
-        self._nis_sum = 0.0  # of the ranges used
+        self._nis_sum = 0.0  # sum of the NIS of the ranges used
 
     def located(self, nav: Nav) -> Nav:
         """The same nav with the position and covariance from all information so far; idempotent within a tick."""
@@ -188,7 +188,7 @@ class Localizer(Navigated):
         if then is None:
             return
         state = message.state
-        since = (ranged + ahead - state.sent_tick) * self._tick_s  # by clocks that may differ by milliseconds
+        since = (ranged + ahead - state.sent_tick) * self._tick_s  # the clocks may differ by milliseconds
         other = state.position[0] + since * state.velocity[0], state.position[1] + since * state.velocity[1]
         back = self._way[0] - then[1], self._way[1] - then[2]
         variance = (delivery.range_sd_m or 0.0) ** 2 + (_DRIFT_MPS * since) ** 2

@@ -28,10 +28,10 @@ from typing import NamedTuple
 from agents.localization.range_fusion import Covariance, grown
 
 Place = tuple[float, float]  # north, east [m]
-LEAST_SPREAD_M = 10.0  # of the line, as a standard deviation: with less its direction is not known
+LEAST_SPREAD_M = 10.0  # least length of the line, as a standard deviation: the direction of a shorter one is not known
 _CREDIBLE = 9.21  # chi-square with 2 degrees of freedom, 99 %: a mirror image that the navigator contradicts is none
 _APART = 12.0  # standard deviations: before the estimate settles on one side, its own covariance holds both
-_MOST_NIS = 40.0  # that counts of one range: it may be an outlier
+_MOST_NIS = 40.0  # a larger NIS of one range counts as this one, since the range may be an outlier
 _SWAPPED = 3.0  # log odds, 20 to 1: then the likelier one is believed
 _SETTLED = 9.2  # log odds, 10 000 to 1
 
@@ -49,8 +49,8 @@ class MirrorImage:
     def __init__(self) -> None:
         self.other: PlaceEstimate | None = None
         self.odds = 0.0  # o, while there is another
-        self._sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of 1, n, e, nn, ne and ee of all s
-        self._settled = False  # which of both it is
+        self._sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the sums of 1, n, e, nn, ne and ee over all s
+        self._settled = False  # whether it is known which of both is the place
 
     @property
     def probability(self) -> float:

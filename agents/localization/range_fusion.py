@@ -27,9 +27,9 @@ from __future__ import annotations
 from math import sqrt
 from typing import NamedTuple
 
-Covariance = tuple[float, float, float]  # of north and east: nn, ne, ee [m^2]
+Covariance = tuple[float, float, float]  # nn, ne, ee of north and east [m^2]
 _LEAST_RANGE = 0.1  # m; nearer, a range has no direction
-_WEIGHTS = tuple(1.0 - 2.0 ** (-0.5 * k) for k in range(1, 25))  # of the own position: 0.29 to 0.9998
+_WEIGHTS = tuple(1.0 - 2.0 ** (-0.5 * k) for k in range(1, 25))  # tried for the own position: 0.29 to 0.9998
 
 
 class Fused(NamedTuple):
@@ -98,7 +98,7 @@ def grown(covariance: Covariance, before: Covariance, after: Covariance) -> Cova
     middle, radius = 0.5 * (a + c), sqrt(0.25 * (a - c) * (a - c) + b * b)
     if middle + radius <= 0.0:
         return covariance
-    if middle < radius:  # it shrank in one direction: only the other counts
+    if middle < radius:  # the covariance shrank in one direction: only the other counts
         share = 0.5 * (middle + radius) / radius
         a, b, c = share * (a - middle + radius), share * b, share * (c - middle + radius)
     return covariance[0] + a, covariance[1] + b, covariance[2] + c

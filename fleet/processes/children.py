@@ -30,7 +30,7 @@ from fleet.processes.run_folder import own_folder_for_multiprocessing
 from netem.errors import BusError
 
 GRACE_S = 1.0
-START_S = 20.0  # for the fork server, which imports everything first, on a busy machine
+START_S = 20.0  # the fork server imports everything first, and the machine may be busy
 FORKSERVER_LOST = 255  # multiprocessing's exit code for a child whose forkserver is gone
 TAIL_LINES = 12
 
@@ -98,7 +98,7 @@ class Children:
                 process.start()
             self.by_role[role] = Child(role, process, log_path)
             started_by = _forkserver_pid()
-            if self._forkserver not in (None, started_by):  # it ended in between
+            if self._forkserver not in (None, started_by):  # the fork server ended in between
                 raise ChildProcessError(f"the fork server (pid {self._forkserver}) is gone")
             self._forkserver = started_by
 
@@ -281,7 +281,7 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         descriptor = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    except FileNotFoundError:  # its directory was removed: the run was ended before this process had begun
+    except FileNotFoundError:  # the run's directory was removed: the run was ended before this process had begun
         os._exit(1)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)

@@ -10,7 +10,7 @@ from fleet.errors import RunBroken
 
 # Measured: the console holds 16 and two per agent, the world 14 and one per agent; more while they start.
 FILES, FILES_PER_VEHICLE = 48, 2
-FILES_PER_WORKER = 3  # its pipe, and two of multiprocessing
+FILES_PER_WORKER = 3  # the pipe of a worker, and two files of multiprocessing
 MOST_VEHICLES = 1000
 NO_THREAD = "can't start new thread"  # what Python says, also in a callback of zenoh or in the log of a process
 

@@ -50,7 +50,7 @@ def own_folder_for_multiprocessing() -> None:
     if settings.get("tempdir") is None:
         try:
             folder = PrivateFolder("processes", _place())
-        except (OSError, RunBroken):  # then its own, which fails with a reason of its own
+        except (OSError, RunBroken):  # multiprocessing then makes its own, and says why if that fails
             return
         settings["tempdir"] = str(folder.path)
         close_at_end(folder)

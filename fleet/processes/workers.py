@@ -29,11 +29,11 @@ from fleet.processes.limits import allow_workers
 I = TypeVar("I")  # noqa: E741
 R = TypeVar("R")
 
-TIMES = 3  # that an item is given to a worker
+TIMES = 3  # how often an item is given to a worker, at most
 _READY, _BEGUN, _DONE, _FAILED = range(4)
 _WAIT_S = 0.2
-_GRACE_S = 2.0  # for a worker that has nothing to do and is told to end
-_BEGIN_S = 300.0  # for a process to start, import what it needs, and begin with its item: 1 s where nothing is wrong
+_GRACE_S = 2.0  # time for an idle worker to end
+_BEGIN_S = 300.0  # time for a process to start, to import and to begin with its item: usually 1 s
 
 
 class WorkerDied(FleetError):
@@ -62,7 +62,7 @@ class Workers:
     def __exit__(self, kind: type[BaseException] | None, *_: BaseException | TracebackType | None) -> None:
         workers = [worker for worker in self._running if worker is not None]
         for worker in workers:
-            worker.connection.close()  # which it takes as the end, if it is idle
+            worker.connection.close()  # an idle worker takes this as the end
             if kind is not None:
                 worker.process.kill()
         for worker in workers:
@@ -86,7 +86,7 @@ class Workers:
         """
         new = ((item, 1) for item in items)
         again: deque[tuple[I, int]] = deque()
-        under_way: dict[int, tuple[I, int]] = {}  # by place
+        under_way: dict[int, tuple[I, int]] = {}  # by place: the item that its worker has, and at which try
         lost = 0  # workers in a row that died before they began
         try:
             while True:
@@ -203,7 +203,7 @@ class _Worker:
                     return None
                 self.end(0.0)
                 return self._ended(WorkerLate(), failed=True)
-        except (EOFError, OSError):  # it died while it wrote
+        except (EOFError, OSError):  # the worker died while it wrote
             pass
         self.end(0.0)
         return self._ended(WorkerDied(self.ended), failed=True)
@@ -223,7 +223,7 @@ class _Worker:
 
     def _send(self) -> None:
         self.deadline = time.monotonic() + _BEGIN_S
-        with suppress(OSError):  # it died, as its sentinel says
+        with suppress(OSError):  # the worker died, as its sentinel says
             self.connection.send_bytes(self._job)
         self._job = b""
 

@@ -19,7 +19,7 @@ from fleet.result.timing import Punctual, Timing
 from fleet.result.verdict import Verdict, failed_first
 from netem.ledger import Account, Count
 
-FORMAT = 1  # of result.json; a larger one was written by a later version
+FORMAT = 1  # the format of result.json; a later version may write a larger number
 Number = float | None  # null in JSON: not finite, or there is none
 
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from rich.console import Console as Terminal
 
 TABLES = 120  # characters where stdout is no terminal
-_UNKNOWN = 80  # of a terminal that does not say
-INDENT = "  "  # of the second line of what is folded, and of all after it
+_UNKNOWN = 80  # the width of a terminal that does not say
+INDENT = "  "  # indent of the lines behind a fold
 
 
 def stdout() -> Terminal:

@@ -12,7 +12,7 @@ from netem.wire.keys import Keys
 from netem.wire.messages import Bundle, BundlePart
 from netem.wire.parts import PART_BYTES, split
 
-_PART_BYTES = 12  # of a part, besides its message
+_PART_BYTES = 12  # length of a part besides its message
 
 
 def bundles(parts: Sequence[BundlePart]) -> Iterator[bytes]:

@@ -40,7 +40,7 @@ class CertificateRouter:
             **router_settings(len(agents), listener.lease_ms),
             **UNIVERSAL,
             **listening([*listener.endpoints]),
-            **server_tls(listener, mutual=True),  # also where no vehicle is external
+            **server_tls(listener, mutual=True),  # the certificate is needed even if no vehicle is external
             "access_control": certificate_control(keys, agents),
         }
         try:
@@ -49,7 +49,7 @@ class CertificateRouter:
             raise BusError(f"cannot listen on {' and '.join(listener.endpoints)}: {reason(error)}") from None
         self._bus.watch_begins(lambda _: never_linger())
         self._run, self._keys = run, keys
-        self._withdraw: dict[str, Callable[[], None]] = {}  # by key of the token
+        self._withdraw: dict[str, Callable[[], None]] = {}  # functions that withdraw a token, by its key
         for i in agents:
             self._connect(i)
         run.keep(self)

@@ -16,7 +16,7 @@ from typing import Any
 from netem.wire.keys import Keys
 
 CONSOLE, NETEM, OPERATOR, WORLD = "console", "netem", "operator", "world"
-OBSERVER = "observer"  # of a published run: it has a router of its own, and may read the journal there
+OBSERVER = "observer"  # a published run has a router of its own, where the observer may read the journal
 
 
 Members = Sequence[Sequence[int]]  # the vehicles whose agents share a process, by host: host 1 comes first

@@ -16,12 +16,12 @@ from netem.limits import ROBOT_WAITING
 class HandOver(NamedTuple):
     """What became of a message that an outlet took."""
 
-    message: Any  # as it was offered
+    message: Any  # the message as it was offered
     at_ns: int  # when it was handed over
     late_ns: int  # how long the host was late with it, beside its wait for the robot
     kept_ns: int  # how long the robot let it wait
     delivered: bool
-    problem: str  # why it was not, if something is known
+    problem: str  # why the message was not delivered, if that is known
 
 
 class _Job(NamedTuple):
@@ -36,8 +36,8 @@ class Outlet:
 
     def __init__(self) -> None:
         self._jobs: SimpleQueue[_Job | Callable[[], None] | None] = SimpleQueue()
-        self._offered, self._offered_bytes = 0, 0  # one thread counts what it offers,
-        self._worked, self._worked_bytes = 0, 0  # and the other what it has done
+        self._offered, self._offered_bytes = 0, 0  # written by the thread that offers
+        self._worked, self._worked_bytes = 0, 0  # written by the thread that hands over
         self._outcomes: deque[HandOver] = deque()
         self._problems: deque[str] = deque()
         self._free_ns = self._lost_ns = 0

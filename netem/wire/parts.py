@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
-PART_BYTES = 32_000  # of a long message; well below `netem.wire.session.WIRE_MESSAGE.bytes`
+PART_BYTES = 32_000  # length of a part, well below `netem.limits.WIRE_MESSAGE`
 
 _T = TypeVar("_T")
 

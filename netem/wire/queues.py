@@ -55,7 +55,7 @@ class Quota:
         self._taken[key] += 1
 
 
-_MOST_KINDS = 1000  # of messages that did not fit, until they are taken
+_MOST_KINDS = 1000  # kinds of messages that did not fit and are not taken yet
 
 
 class Inlet:

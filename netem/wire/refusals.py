@@ -25,7 +25,7 @@ from netem.wire.session import log_zenoh
 log = logging.getLogger(__name__)
 
 LEVELS = "error,zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls::unicast=warn"
-MOST_KINDS = 200  # of refusals that are counted apart
+MOST_KINDS = 200  # kinds of refusals that are counted apart
 MOST_LINE = 1000  # bytes of a line that are looked at
 WRITE_S = 0.05
 BUFFER = 1 << 20  # bytes between zenoh and the reader

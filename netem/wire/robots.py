@@ -79,7 +79,7 @@ class Ticket:
         """Tell who asked that there will be no more answers."""
         if self.query is not None:
             self.query.drop()
-            self.query = None  # with its payload
+            self.query = None  # the query also holds its payload
 
 
 class Token(NamedTuple):
@@ -96,8 +96,8 @@ class Unfit(NamedTuple):
     kind: str
     key: str
     size: int
-    to: int | None = None  # its only receiver; None: all neighbours
-    ticket: Ticket | None = None  # of a reply
+    to: int | None = None  # the only receiver; None: all neighbours
+    ticket: Ticket | None = None  # the query that a reply belongs to
 
 
 class Linked(NamedTuple):
@@ -289,7 +289,7 @@ class Robot:
         """Put a query of another robot to the programs of this one. Raises BusError: the session cannot send it."""
         query, number = ticket.query, self.number
         if query is None:
-            return  # it has ended
+            return  # the query has ended
 
         def replied(reply: Any) -> None:
             if reply.ok is None or self._includes(reply.ok.key_expr) is not None:
@@ -343,7 +343,7 @@ def answer(message: RobotMessage, payload: bytes) -> None:
     ticket, reply = message.what
     query = ticket.query
     if query is None:
-        return  # it has ended
+        return  # the query has ended
     try:
         if reply.ok is None:
             query.reply_err(payload, encoding=reply.err.encoding)

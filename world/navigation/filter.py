@@ -70,7 +70,7 @@ class NavigationFilter:
         self.north: float = 0.0  # displacement by the DVL [m]
         self.east: float = 0.0
         self.time: float = 0.0  # s
-        self.drifting: float = 0.0  # of it without sight of the floor [s]
+        self.drifting: float = 0.0  # how long the vehicle has been without sight of the floor [s]
 
     def advance(self, turn: float, forward: float, starboard: float, dt: float, mode: int) -> None:
         """Move the estimate on.
@@ -176,7 +176,7 @@ class NavigationFilter:
         determinant = s_nn * s_ee - s_ne * s_ne
         off_n, off_e = north - x[i], east - x[j]
         nis, used = 0.0, False
-        if determinant > 0.0:  # else position and fix are both exact
+        if determinant > 0.0:  # at 0, position and fix are both exact
             nis = (s_ee * off_n * off_n - 2.0 * s_ne * off_n * off_e + s_nn * off_e * off_e) / determinant
             used = nis <= GATE or self.refused >= MOST_REFUSED
             if nis > GATE and used:

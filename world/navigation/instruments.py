@@ -64,7 +64,7 @@ class Instruments:
         self._config, self._seed, self._i, self._tick_ns = config, seed, i, tick_ns
         rates = (grade.heading_rate, grade.gyro_rate, grade.dvl_rate, grade.depth_rate)
         self._heading_ns, self._gyro_ns, self._dvl_ns, self._depth_ns = (max(1, round(1e9 / rate)) for rate in rates)
-        self._heading_s: float = max(self._heading_ns, tick_ns) / 1e9  # from sample to sample
+        self._heading_s: float = max(self._heading_ns, tick_ns) / 1e9  # the time from sample to sample [s]
         self._gyro_s: float = max(self._gyro_ns, tick_ns) / 1e9
         # What stays for the whole run.
         self._heading_bias: float = self._draw(grade.heading_bias, "heading bias")

@@ -18,7 +18,7 @@ def article(kind: str) -> str:
     return "an" if kind[0] in "aeiou" else "a"
 
 
-MAX_NUMBERS = 1000  # of one signal
+MAX_NUMBERS = 1000  # numbers of one signal, at most
 _UNITLESS = "1"
 
 

@@ -41,7 +41,7 @@ def words_of(error: BaseException) -> str:
     try:
         # A SyntaxError's own text ends with its place, which messages have beside it.
         text = " ".join(((error.msg or "") if isinstance(error, SyntaxError) else str(error)).split())
-    except Exception:  # its __str__ is the user's, too
+    except Exception:  # the error's __str__ is the user's, too
         text = "(it cannot be printed)"
     text = text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

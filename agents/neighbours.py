@@ -31,7 +31,9 @@ from agents.sample import NeighbourState
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3, minus, plus
 
-AHEAD_S = 60.0  # by so much the clock of a neighbour may be ahead of the own one
+# The clock of a neighbour may be ahead of the own one by so much, and its state then counts as new. Otherwise an agent
+# would lose its neighbour as soon as clocks differ by more than a message takes.
+AHEAD_S = 60.0
 _NO_RANGE = (None, None)
 _REFUSED = (*CAUSES, "wrong_sender", "from_future")
 

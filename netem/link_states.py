@@ -13,6 +13,9 @@ Loss, delay and rate change together, because they belong to one condition.
 The chain starts with a state drawn from pi. An exponential time has no memory, so what is left of the first state is
 distributed as a whole one, and the chain is stationary from the start. The n-th state and its time are draws with the
 key (link, n): what a link is at a time depends neither on its packets nor on those of others.
+
+A run that goes on keeps nothing of the states. It counts again from the start, which takes 8 us per transition. A mean
+below one tick is refused, which bounds the number of transitions.
 """
 
 from __future__ import annotations

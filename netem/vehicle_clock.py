@@ -13,6 +13,9 @@ drift has added stays. The numbers are whole nanoseconds, so every process compu
 
 Clocks change what agents and modems take for the time. They never change simulated time: a tick stays a tick, and a log
 has the true time.
+
+The world and netem read the clocks, and no agent does. So a live fault of a clock reaches an external agent, too. An
+agent that read its clock itself would need the timeline of faults in its slice.
 """
 
 from __future__ import annotations

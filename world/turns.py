@@ -3,6 +3,10 @@
 If a hundred processes wake in turn, each finds little of its memory in the processor's caches. The first sample after
 the wake-up takes twice as long as the next one. Between two rounds no vehicle depends on another. So one agent may
 answer several ticks while others wait.
+
+With 100 vehicles on two processors a tick takes 25 ms of CPU time if four agents are asked at a time, and 33 ms with
+sixteen. External agents are all asked at once, because a distant agent would keep its turn while its answer travels.
+The order cannot stop a run: an agent gets its turn when the round before is complete.
 """
 
 from __future__ import annotations

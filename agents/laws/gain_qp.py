@@ -21,6 +21,10 @@ rho to rest, so on an axis where the formation moves towards the error it prefer
 The bounds on rho win over k_min, never over the sign of the gain (eq. 22) or k_max. While rho_lo <= rho_d <= rho_hi
 there is a gain that keeps them; else there may be none, and the last gain is held.
 
+The problem is separable (docs/background/paper.md), so a formula gives the gain, and PIQP confirms it: PIQP's last bits
+depend on the processor, and those of the formula do not. Each call gets a fresh solver, because an answer must not
+depend on history.
+
 The paper has no k_max. Without it a periodic disturbance increases the gain step by step, until the inner loop cannot
 follow.
 """

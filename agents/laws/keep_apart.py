@@ -24,6 +24,9 @@ which fades slowly. If it then slows down to u, it must pitch by about w / u mor
 
 The constraints of both vehicles of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for
 each lag tau up to T, this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
+
+PIQP's last bits depend on the processor. So PIQP only says which constraints are active, and elimination in a fixed
+order gives the velocity.
 """
 
 from __future__ import annotations

@@ -134,7 +134,8 @@ class Election:
         """Whether these are records of vehicles of this fleet, made by now, that grant for a lease at most.
 
         Three clocks matter: of the vehicle that passes a record on, of its maker, and of the maker's candidate. Each
-        may be ahead of the one before, by a lease at most.
+        may be ahead of the one before, by a lease at most. Without that allowance drawn drifts of 10,000 ppm broke the
+        election.
         """
         return (
             isinstance(values, list)

@@ -3,6 +3,10 @@
 Zenoh asks for a password on every listener of a session or on none, and so a router that takes certificates alone is a
 session of its own. Its access-control list knows each agent by the common name of its certificate. This router
 exchanges the messages of each agent with the run's router, key by key, and forwards nothing more.
+
+Such agents use zenoh-pico, which has no passwords. A nav and its command take 168 and 221 us here, and 105 and 60 us on
+the run's router. Commands and payloads of an agent are one subscription: with one each, zenoh's threads put a command
+before the payloads of its tick.
 """
 
 from __future__ import annotations

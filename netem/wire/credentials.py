@@ -227,8 +227,8 @@ def _agent_grants(keys: Keys, i: int) -> list[Grant]:
         ("ingress", ["liveliness_token"], [keys.alive(role)]),
         ("egress", ["put"], [keys.rx(i), keys.nav(i)]),
         ("egress", ["reply"], [keys.cfg(i)]),
-        # The router tells a publisher which key expressions are subscribed to; ours are the starred
-        # ones, and a publisher that hears of none stays silent.
+        # Not `cmd/3` alone: on a router with access control a publisher stays silent until it hears of a subscriber,
+        # and it hears the subscriber's expression, which has a star.
         ("egress", ["declare_subscriber"], [keys.tx("*"), keys.cmd("*"), keys.note("*")]),
         ("egress", ["declare_queryable"], [keys.cfg("*")]),
     ]

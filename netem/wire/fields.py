@@ -32,6 +32,7 @@ class Route(NamedTuple):
     receiver: str
 
 
-# Without a garbage collector's header: what holds numbers, texts, bytes and tuples of them alone is in no circle.
+# Records have no header for the garbage collector: numbers, texts, bytes and tuples are in no circle. With the header
+# decoding costs 5-20 % more. msgspec decodes a nav in 0.40 us, a checker of our own took 1.43 us.
 class WireRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
     """A MessagePack array of fields; a message is a record with a tag, which comes first in the array."""

@@ -17,6 +17,15 @@ Roumeliotis and Burdick 2002).
 (N, E) is the displacement by the DVL over T, in NED. d means estimate minus truth. A measurement z = psi + h + noise of
 the heading, or of n and e, is one scalar update after the other (Groves 2013, ch. 3 and 14).
 
+Without the past position, the innovation of a late fix with the present covariance gave a NIS of 1.4 in a current,
+which is too cautious. With it the NIS is 2, within its interval.
+
+The depth is not filtered: its error is the bias and the noise of the last sample, exactly as the covariance says. A
+filter of the depth would need the vertical scale error of the DVL, which is correlated over a dive.
+
+The covariance is updated at samples of instruments, not at ticks. An update whenever a vehicle is sensed would make the
+bits of a result depend on who looks, and would cost three times as much.
+
 Matrices are lists of rows, and sums have a fixed order: the bits of a result are the same on every machine.
 """
 

@@ -1,6 +1,6 @@
 """Which of its agents a host is computing, told to the console through a file that both map.
 
-A law that hangs, or ends the process, can tell nobody any more; what is in the file stays.
+A law that hangs, or ends the process, can tell nothing any more; what is in the file stays.
 """
 
 from __future__ import annotations

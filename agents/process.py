@@ -43,7 +43,7 @@ class OneAgent:
 
     @cached_property
     def shell(self) -> Mailbox:
-        """For notes: most agents never write one."""
+        """The mailbox for notes, made at the first: most agents never write one."""
         role = agent_role(self.vehicle)
         return Mailbox(self._bus, role, self._keys.note(role))
 

@@ -230,7 +230,7 @@ class AcousticChannel:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 
     def _failed(self, station: Station, transfer: Transfer, now: int) -> None:
-        """Nobody has answered in time: try again, or give up this neighbour."""
+        """No answer has come in time: try again, or give up this neighbour."""
         if transfer.tried < self._acoustic.modem_of(station.vehicle).tries:
             station.start_tick = self._access.next_start(station, max(now, station.free_tick))
         else:

@@ -146,7 +146,7 @@ def _row(total: int, ticks: int, edges: Counter[int], tick_ns: int) -> dict[str,
 
 
 def percentile(edges: Counter[int], ticks: int, percent: int) -> int:
-    """The least age that at least so many percent of the ticks did not exceed (the nearest rank)."""
+    """The least age that at least `percent` of the ticks did not exceed (the nearest rank)."""
     rank = -(-ticks * percent // 100)
     begin = below = often = 0
     for edge, change in sorted(edges.items()):

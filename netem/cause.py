@@ -14,7 +14,7 @@ class Cause(StrEnum):
     PARTITION = "partition"
     MUTE = "mute"
     QUEUE = "queue"
-    # Of the acoustic channel only.
+    # Only the acoustic channel has these causes.
     REPLACED = "replaced"
     MTU = "mtu"
     RANGE = "range"
@@ -22,7 +22,7 @@ class Cause(StrEnum):
     COLLISION = "collision"
     SNR = "snr"
     DEAD_SENDER = "dead sender"
-    # Of every network again.
+    # Every network has these causes.
     DEAF = "deaf"
     DEAD_RECEIVER = "dead receiver"
     RECEIVER = "receiver"  # with `fleet netem`: a program did not take the message

@@ -9,4 +9,4 @@ class Clock(StrEnum):
     """Decides when a tick begins."""
 
     LOCKSTEP = "lockstep"  # everybody waits for everybody, so the log does not depend on the machine
-    REAL = "real"  # the wall clock: nobody waits, so processes can be late
+    REAL = "real"  # the wall clock: no process waits, so each can be late

@@ -34,7 +34,7 @@ def read_file(path: Path, most: int) -> bytes:
 
 
 def read_bounded(file: IO[bytes], most: int) -> bytes:
-    """The rest of an open file. Raises OSError: more than so many bytes."""
+    """The rest of an open file. Raises OSError: it is longer than `most` bytes."""
     data = file.read(most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, f"it is larger than {most / 1e6:g} MB")

@@ -51,7 +51,7 @@ class Modem:
     clear_above: float  # dB: at or above it everything is
     capture: float  # dB: by how much a signal must exceed the sum of those that overlap it
     processing: float = 0.0  # s, from the end of a reception until the payload is there
-    tries: int = 0  # how often a payload is sent at most until it is acknowledged; 0: once, and nobody acknowledges
+    tries: int = 0  # how often a payload is sent at most until it is acknowledged; 0: once, without acknowledgement
     timeout: float = 0.0  # s, from the end of a transmission until the next try
     acknowledgement: int = 0  # bytes of an acknowledgement
     airtime: Curve | None = None  # s over bytes: as measured, in place of bit_rate and preamble
@@ -130,7 +130,7 @@ class AcousticConfig:
         receiver: Modem | None = None,
         gain_db: float = 0.0,
     ) -> float:
-        """The probability that a payload of `size` bytes cannot be decoded at a range [m], if nobody else talks.
+        """The probability that a payload of `size` bytes cannot be decoded at a range [m], if no other modem talks.
         `gain_db`: what fading adds to the level at this moment."""
         modem = self.modem if receiver is None else receiver
         if modem.delivery is not None:

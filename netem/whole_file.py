@@ -62,6 +62,6 @@ def whole_file(path: Path, mode: int = 0o666) -> Iterator[Path]:
 
 
 def part_of(path: Path) -> Path:
-    """A place beside `path` for what shall take its place. Nobody can guess its name, so others who may write into the
+    """A place beside `path` for what shall take its place. Its name cannot be guessed, so others who may write into the
     folder cannot lead it elsewhere."""
     return path.with_name(f".{path.stem[:100]}-{token_hex(8)}{path.suffix}")  # some writers go by the suffix

@@ -40,7 +40,7 @@ class PlantConfig:
     """The part of the run that a plant may know."""
 
     vehicle: int  # number of the vehicle, from 1
-    tick_s: float  # control period [s]: tau is constant for so long
+    tick_s: float  # control period [s], for which tau is constant
     seed: int  # seed of the run
     model: VehicleParams  # the 5-DOF numbers that the controllers use: `vehicle.model` of the scenario
 

@@ -15,8 +15,8 @@ class FrameAssembly:
     """Collects rows and changes by frame; a frame is complete once every vehicle has its row in it."""
 
     def __init__(self, vehicles: int, ticks: int, every: int) -> None:
-        """Begin with the frame of tick 0, of so many vehicles, one frame in `every` ticks; the end tick always has a
-        frame.
+        """Begin with the frame of tick 0, of this number of vehicles, one frame in `every` ticks; the end tick always
+        has a frame.
         """
         self._vehicles, self._ticks, self._every = vehicles, ticks, every
         self._next = 0  # tick of the next frame

@@ -302,7 +302,7 @@ class WorldProcess:
     def _token(self, key: str, alive: bool) -> None:
         state = self._state
         for i in () if alive or self._run.finished else self._token_roles.get(key, ()):
-            # Of an agent that was to end this may come only when its successor has begun.
+            # The end of the token of an agent that was to end may come only when the next agent has begun.
             if not state.without_agent(i) and not state.incarnation(i):
                 self._shell.note(i, state.tick_of(i), "its session ended")
 

@@ -78,10 +78,10 @@ class RealtimeWorldProcess(WorldProcess):
         self._publish(self._realtime.begin())
 
     def _asked(self, i: int) -> bool:
-        return True  # nobody waits for a turn
+        return True  # on a wall clock no agent waits for a turn
 
     def _ask(self, i: int, nav: Nav) -> None:
-        self._send_navs([(i, nav)])  # nobody waits for a turn
+        self._send_navs([(i, nav)])
 
     def _take_command(self, i: int, command: Command, data: bytes) -> list[Out]:
         return self._realtime.command(i, command, data)

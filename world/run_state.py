@@ -160,7 +160,7 @@ class RunState:
 
     @property
     def tumbling(self) -> dict[int, tuple[int, int]]:
-        """Of the vehicles that are tumbled: how often each has tumbled, and since when."""
+        """The vehicles that are tumbled: how often each has tumbled, and since when."""
         return {i: known for i, known in self._tumblings.items() if i in self._tumbled and i not in self._diverged}
 
     @property

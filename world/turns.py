@@ -31,8 +31,8 @@ class Turns:
     """
 
     def __init__(self, round_ticks: int, most: int, process: Callable[[int, Nav], Hashable] = lambda i, _: i) -> None:
-        """Nobody has a turn; at most `most` processes get one at a time. `process`: that of the agent that gets a nav;
-        by default each agent has its own.
+        """No agent has a turn; at most `most` processes get one at a time. `process`: that of the agent that gets a
+        nav; by default each agent has its own.
         """
         self._round_ticks, self._most, self._process = round_ticks, most, process
         self._asked: dict[int, Hashable] = {}  # agents that have a turn, and their processes

@@ -44,7 +44,7 @@ from agents.sample import Sample
 from world.signal import Signal
 from world.vectors import ZERO, Vec3, dot, minus, moved, scale
 
-# Of a unit of slack. Larger than the multipliers of constraints that can be kept, so that these have no slack.
+# The price of a unit of slack. It is larger than the multipliers of constraints that can be kept: these have no slack.
 PENALTY = 1000.0
 TOLERANCE = 1e-10  # PIQP's tolerance
 CHANGES = 8  # changes of PIQP's active constraints, at most

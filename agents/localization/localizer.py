@@ -2,14 +2,14 @@
 
 It holds a horizontal position with its covariance; the depth is that of the pressure sensor. Between two samples the
 position moves by the velocity that the navigator believes, and the covariance grows by as much as the navigator's did.
-That is on the safe side: of an error that lasts, such as that of the heading, the growth includes what is common to
-the way before. When the navigator becomes surer than this estimate, for instance by a fix, its estimate is taken over
-as a whole, which is consistent whatever was fused before. So a vehicle that hears nobody has its navigator's position.
+That is on the safe side: of an error that lasts, such as that of the heading, the growth includes what is common to the
+way before. When the navigator becomes surer than this estimate, for instance by a fix, its estimate is taken over as a
+whole, which is consistent whatever was fused before. So a vehicle that hears no other has its navigator's position.
 
 | method | what is used | as |
 |---|---|---|
 | `aid` | messages of vehicles that had a fix of late and used no ranges (Bahr, Leonard and Fallon 2009) | independent |
-| `naive` | all messages | independent, which they are not: who has used my position tells me mine as news |
+| `naive` | all messages | independent, which they are not: a vehicle that has used my position tells me mine again |
 | `consistent` | all messages | of unknown correlation: covariance intersection |
 
 A range is of a past tick, and the sender's position of another one. The own position then is the present one minus the
@@ -35,7 +35,8 @@ from world.vectors import Vec3
 _HISTORY_S = 60.0  # a range that is older is of no use
 _FRESH_S = 60.0  # a vehicle whose last fix is older is no aid
 _FIX_GAIN = 0.005  # by this share a fix lessens the navigator's variance; its other sensors take longer
-# But many small fixes keep it as it is, and the share of each goes to 0. Without any it grows: at t seconds by 2 s / t.
+# Many small fixes keep the navigator's variance as it is, and the share of each goes to 0. Without any fix the variance
+# grows: at t seconds by 2 s / t.
 _SPAN_S, _STEADY = 30.0, 1.01
 _DRIFT_MPS = 0.05  # by which a sender's velocity is off, until the range is measured: an assumption
 _NOTHING: Covariance = (0.0, 0.0, 0.0)
@@ -109,7 +110,7 @@ class Localizer(Navigated):
 
     @property
     def covariance(self) -> Covariance:
-        """Of north and east [m^2], with that the place may be the mirror image of the true one."""
+        """The covariance of north and east [m^2], with that the place may be the mirror image of the true one."""
         if self.mirror is None:
             return self._covariance
         return self.mirror.spread(self._without_way(self._place, self._covariance))
@@ -196,7 +197,7 @@ class Localizer(Navigated):
         ranged_m = delivery.range_m
 
         def fuse(own: PlaceEstimate) -> Fused | None:
-            """With the range from where the vehicle then was, if it is here now."""
+            """Use the range from where the vehicle then was, if it is here now."""
             place = own.place[0] - back[0], own.place[1] - back[1]
             independent = method != "consistent"
             return fused(place, own.covariance, other, message.covariance, deeper, ranged_m, variance, independent)

@@ -91,7 +91,7 @@ class Children:
         # A process that is there is known, and so will be ended, before an interrupt is raised. The block alone does
         # not see to that: another thread may take the signal, and then Python raises in this one.
         with deferring_interrupts():
-            # Else multiprocessing would start another one, and nobody would learn how this one ended.
+            # multiprocessing would start another fork server, and how this one ended would stay unknown.
             if self._forkserver is not None and (death := forkserver_death()) is not None:
                 raise ChildProcessError(death)
             with _forkserver_starting(), _bounded_wait():
@@ -142,7 +142,7 @@ class Children:
 
 def start_forkserver() -> None:
     """Start the fork server, which imports what all processes need while its caller does something else, and ends with
-    this process. `Children.start` does so, too, if nobody did before; it must be called on the same thread, the main
+    this process. `Children.start` does so, too, if no caller did before; it must be called on the same thread, the main
     one. Raises OSError if there is no room for another process.
     """
     allow_most_open_files()  # how many vehicles there will be is not known yet
@@ -174,7 +174,7 @@ def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
 
 @contextlib.contextmanager
 def _named_console() -> Iterator[None]:
-    # For the fork server alone: any other process with this variable would expect to be our child, and end at once.
+    # The fork server alone gets this variable: any other process with it would expect to be our child, and end at once.
     os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
     try:
         yield

@@ -34,7 +34,7 @@ def allow_open_files(vehicles: int, others: int = 0) -> None:
 
 
 def allow_workers(count: int) -> None:
-    """Raise the soft limit as far as so many worker processes need it; each of them inherits it. Raises RunBroken if
+    """Raise the soft limit as far as `count` worker processes need it; each inherits it. Raises RunBroken if
     the hard limit is too low.
     """
     needed = len(os.listdir("/proc/self/fd")) + FILES + FILES_PER_WORKER * count
@@ -47,7 +47,7 @@ def allow_workers(count: int) -> None:
 
 
 def _raise_to(wanted: int) -> int:
-    """Raise the soft limit to so many files, or to the hard limit if that is lower; returns how many may be open."""
+    """Raise the soft limit to `wanted` files, or to the hard limit if that is lower; returns how many may be open."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
         return wanted

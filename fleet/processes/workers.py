@@ -52,8 +52,8 @@ class Workers:
     """Some worker processes, which end with the context; they leave Ctrl-C to us and never outlive us."""
 
     def __init__(self, count: int, begin: Callable[[], None] | None = None) -> None:
-        """Prepare so many; a process starts when there is an item for it, and calls `begin` first. Raises RunBroken if
-        too few files may be open for so many.
+        """Prepare `count` workers; a process starts when there is an item for it, and calls `begin` first. Raises
+        RunBroken if too few files may be open for them.
         """
         self.count = count
         self._begin = begin
@@ -125,7 +125,7 @@ class Workers:
                     else:
                         yield item, outcome
                 wait()
-        finally:  # nobody asks for the rest: what is under way ends, so that the next call finds workers that are free
+        finally:  # the caller wants no more: what is under way ends, so that the next call finds free workers
             for place in under_way:
                 self._stop(place)
 

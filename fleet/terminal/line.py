@@ -23,7 +23,7 @@ class Piece:
 
 
 def fit(pieces: Sequence[Piece], width: int | None = None) -> str:
-    """The pieces in their order, with GAP between them, in at most so many characters.
+    """The pieces in their order, with GAP between them, in at most `width` characters.
 
     First it shortens and then drops optional pieces, beginning with the least important one, until the line fits. Then
     it shortens all other pieces step by step. Only if that is not enough, it drops these, too. Remaining room goes to
@@ -60,7 +60,7 @@ def fit(pieces: Sequence[Piece], width: int | None = None) -> str:
 
 
 def shortened(text: str, *widths: int) -> list[str]:
-    """The beginnings of a text, of at most so many characters each and whole words: forms of a piece."""
+    """The beginnings of a text, one per width, in whole words: forms of a piece."""
     return [shorten(text, width, placeholder=" ...") for width in widths]
 
 

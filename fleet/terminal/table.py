@@ -42,7 +42,7 @@ def width(columns: Sequence[TerminalColumn]) -> int:
 
 
 def fitting(columns: Sequence[TerminalColumn], most: int) -> list[TerminalColumn]:
-    """The columns that have room in so many characters; those of rank 0 in any case."""
+    """The columns that have room in `most` characters; those of rank 0 in any case."""
     kept = list(columns)
     for column in sorted(columns, key=lambda column: -column.rank):
         if column.rank and width(kept) > most:

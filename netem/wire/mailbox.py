@@ -45,7 +45,7 @@ class Mailbox:
         self._note = bus.publisher(note_key)
 
     def subscribe(self, key: str) -> None:
-        """Queue every put on `key`; what exceeds the quota of a key is dropped and counted, so that nobody waits."""
+        """Queue every put on `key`; what exceeds the quota of a key is dropped and counted, so that no sender waits."""
         put, quota = self.queue.put, self._quota
 
         def receive(k: str, data: bytes) -> None:

@@ -192,7 +192,7 @@ class Robot:
             self._came(sample, len(sample.payload))
 
     def _asked(self, number: int, query: Any) -> None:
-        # Of a key that is served it comes a second time, to the queryable of that key.
+        # A query on a key that is served comes a second time, to the queryable of that key.
         if str(query.key_expr) not in self._served and self._takes(number, query.key_expr):
             self._came(query, len(query.payload or b""))
         else:

@@ -62,13 +62,13 @@ UNIVERSAL: dict[str, Any] = {"transport/unicast/lowlatency": False}
 # Zenoh drops longer messages without a word; a recorder counts those that are too long for a log.
 OTHERS = {"transport/link/rx/max_message_size": 256 << 20}
 
-# A connection that has not logged in holds one of so many places, for so long. All listeners share them.
+# A connection that has not logged in holds one of PENDING places, for PENDING_MS. All listeners share the places.
 PENDING = 1000
 PENDING_MS = 5000
 
 
 def router_settings(vehicles: int, lease_ms: int) -> dict[str, Any]:
-    """Of a router of a run with so many vehicles; without users and endpoints."""
+    """Settings of the router of a run with this number of vehicles; without users and endpoints."""
     return BASE | {
         "transport/link/tx/lease": lease_ms,
         # A fleet of 100 connects at once; zenoh refuses what exceeds this.
@@ -79,7 +79,7 @@ def router_settings(vehicles: int, lease_ms: int) -> dict[str, Any]:
 
 
 def client_settings(endpoints: list[str], credentials: Credentials | None, timeout_ms: int) -> dict[str, Any]:
-    """Of a session that joins a router."""
+    """Settings of a session that joins a router."""
     settings: dict[str, Any] = {
         "connect/endpoints": endpoints,
         "connect/timeout_ms": timeout_ms,
@@ -119,7 +119,7 @@ def server_tls(listener: Listener, *, mutual: bool) -> dict[str, Any]:
 
 
 def listening(endpoints: list[str]) -> dict[str, Any]:
-    """Of a router: where it listens, or fails at once."""
+    """Settings of a router: where it listens, or fails at once."""
     return {"listen/endpoints": endpoints, "listen/exit_on_failure": True, "listen/timeout_ms": 0}
 
 

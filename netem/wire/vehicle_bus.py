@@ -2,9 +2,9 @@
 
 The sensors and actuators of a vehicle are not the network that a run is about, and zenoh takes six wake-ups for a round
 trip where a socket takes one. The messages are those of the wire protocol, byte for byte. The console makes a pair for
-each agent that it starts. The agent inherits one end, the world gets the other one, and nobody else has either, so the
-bus needs no password. Agents that somebody else starts, agents that share a process, and runs on a wall clock have the
-keys `nav` and `cmd` of zenoh in place of it.
+each agent that it starts. The agent inherits one end, the world gets the other one, and no other process has either, so
+the bus needs no password. Agents that somebody else starts, agents that share a process, and runs on a wall clock have
+the keys `nav` and `cmd` of zenoh in place of it.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class Inbound:
                     ready.append(self._puts.get())
             elif descriptor == self._control.fileno():
                 self._take_ends()
-            # Else it is an end that a new one has replaced since this batch of events was read.
+            # Any other descriptor is an end that a new one has replaced since this batch of events was read.
 
     def _take_ends(self) -> None:
         number, descriptors, _, _ = socket.recv_fds(self._control, _NUMBER_BYTES, 1)

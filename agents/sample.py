@@ -1,4 +1,4 @@
-"""The input of a control law at one control sample, and the command of guidance to tracking."""
+"""The input of a control law at one control sample, what guidance asks of tracking, and the answer of an agent."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ from world.turns import Turn, Turns
 
 log = logging.getLogger(__name__)
 
-FRAMES_PER_MESSAGE = 10
+FRAMES_PER_MESSAGE = 10  # frames that travel together while the world has more to do
 FRAMES_WAIT_S = 0.02
 FIX_BYTES = 70  # length of a fix in a frame, at most
 ROUND_BYTES = 36  # length of a vehicle in a round, at most: two numbers and a position

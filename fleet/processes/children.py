@@ -1,4 +1,8 @@
-"""The processes of a run: started by one preloaded fork server, watched, and ended with the console."""
+"""The processes of a run: started by one preloaded fork server, watched, and ended with the console.
+
+The fork server of multiprocessing imports everything once, so a child costs milliseconds and shares pages. Every wait
+for it is bounded, because a suspended one reports nothing.
+"""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, QUERIES_WAITING, RELAY_WAITING
 from netem.relay import DATAGRAM, PUT, QUERY, REPLY, DueMessage, MessageFate, Relay, RobotMessage
 from netem.wire import robots
-from netem.wire.queues import Inlet
+from netem.wire.robot_queues import Inlet
 from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, Unfit
 from netem.wire.session import quiet_zenoh
 

@@ -23,8 +23,7 @@ import zenoh
 from netem.errors import BusError
 from netem.limits import TOKENS
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
-from netem.wire.outlet import Outlet
-from netem.wire.queues import Inlet
+from netem.wire.robot_queues import Inlet, Outlet
 from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, client_settings, listening, opened, reason
 
 log = logging.getLogger(__name__)

@@ -32,7 +32,6 @@ from world.vectors import Vec3
 
 PURPOSE = "navigation"
 NO_FAULTS: Sequence[WorldFault] = ()
-FAULT_KINDS = (WorldFaultKind.DVL, WorldFaultKind.COMPASS, WorldFaultKind.FIX)
 
 
 def lost(fault: WorldFault, seed: int, i: int, tick: int, source: int = 0) -> bool:

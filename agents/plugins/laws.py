@@ -1,4 +1,4 @@
-"""The methods and values that a class needs to be used as a law."""
+"""Laws of the user: what a class needs to be one, and the fence that it runs behind."""
 
 from __future__ import annotations
 
@@ -15,8 +15,34 @@ from world.plugins.loading import load_class
 from world.signal import Signal
 from world.vectors import Vec3
 
-# --- fenced law
-# A law of the user behind a fence.
+# What a class of each kind must be able to do, and with what it is called.
+METHODS: dict[str, dict[str, tuple[str, ...]]] = {
+    "controller": {"step": ("sample",)},
+    "guidance": {"step": ("sample",)},
+    "tracking": {"step": ("sample", "command")},
+    "agent": {"transmit": ("nav",), "decide": ("nav", "deliveries")},
+}
+
+
+def load(kind: str, law: Law) -> type[Any]:
+    """Import the class of a user's law, and check it.
+
+    Args:
+        kind: controller, guidance, tracking or agent.
+        law: its name is `package.module:Class`, or that of an entry point in group `uuv_fleet.controllers`.
+
+    Raises:
+        UntrustedError: the module is not installed, and `admit` has not allowed it.
+        PluginError: the class does not exist, lacks a method, or does not take these parameters.
+    """
+    return load_class(kind, law.name, lambda law_class: _check(kind, law, law_class))
+
+
+def _check(kind: str, law: Law, law_class: Any) -> None:
+    check_class(kind, law.name, law_class, METHODS[kind], law.parameters, "the agent's own slice of the scenario")
+    # A guidance law's signals share their topic with what every agent reports.
+    taken = frozenset(signal.name for signal in (*HEARD, *COMMANDED)) if kind == "guidance" else frozenset[str]()
+    check_signals(kind, law.name, getattr(law_class, "signals", None), taken)
 
 
 def law_fence(config: AgentConfig, law: Law, notes: list[tuple[int, str]]) -> Fence:
@@ -47,33 +73,3 @@ class FencedLaw:
             raise fence.wrong(tick, method, f"returned {shown(answer)}: expected ({self._what}, telemetry)")
         vector = fence.vector(tick, method, self._what, answer[0])
         return vector, fence.telemetry(tick, method, self._signals, answer[1])
-
-
-# What a class of each kind must be able to do, and with what it is called.
-METHODS: dict[str, dict[str, tuple[str, ...]]] = {
-    "controller": {"step": ("sample",)},
-    "guidance": {"step": ("sample",)},
-    "tracking": {"step": ("sample", "command")},
-    "agent": {"transmit": ("nav",), "decide": ("nav", "deliveries")},
-}
-
-
-def load(kind: str, law: Law) -> type[Any]:
-    """Import the class of a user's law, and check it.
-
-    Args:
-        kind: controller, guidance, tracking or agent.
-        law: its name is `package.module:Class`, or that of an entry point in group `uuv_fleet.controllers`.
-
-    Raises:
-        UntrustedError: the module is not installed, and `admit` has not allowed it.
-        PluginError: the class does not exist, lacks a method, or does not take these parameters.
-    """
-    return load_class(kind, law.name, lambda law_class: _check(kind, law, law_class))
-
-
-def _check(kind: str, law: Law, law_class: Any) -> None:
-    check_class(kind, law.name, law_class, METHODS[kind], law.parameters, "the agent's own slice of the scenario")
-    # A guidance law's signals share their topic with what every agent reports.
-    taken = frozenset(signal.name for signal in (*HEARD, *COMMANDED)) if kind == "guidance" else frozenset[str]()
-    check_signals(kind, law.name, getattr(law_class, "signals", None), taken)

@@ -28,14 +28,15 @@ import numpy as np
 
 from agents.config import AgentConfig, Law
 from agents.controllers import TRACKING, Cascade
-from agents.laws.kinematics import RateFilter, earth_velocity
+from agents.laws.angles import RateFilter
+from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
 from agents.sample import Sample
 from agents.trajectory import Motion
 from fleet.errors import FleetError
-from world.config import VehicleParams
 from world.dynamics import coefficients, rk4_step
 from world.vectors import Vec3, Vec5
+from world.vehicle_params import VehicleParams
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

@@ -18,7 +18,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
 from fleet.scenario.schema.control import KeepApartSection
 from fleet.scenario.sections.clocks import clock_sections
-from netem.condition import DEFAULT_LIMIT, Link, effective
+from netem.condition import DEFAULT_LIMIT, Link
+from netem.correlation import effective
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from world.errors import PluginError

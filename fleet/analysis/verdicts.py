@@ -21,7 +21,7 @@ from fleet.scenario.schema.checks import (
     Tumbled,
 )
 from netem.condition import Link
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 
 
 def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Verdict]:

@@ -27,8 +27,8 @@ from fleet.scenario.sections.signal_checks import ask, load_check, parameters_of
 from fleet.scenario.sections.signals import GROUPS, SignalPlace, VehicleSignals
 from fleet.scenario.sections.timeline import Event
 from fleet.scenario.sections.vehicle_events import DIVERGED
+from netem.cause import Cause
 from netem.condition import Link
-from netem.fault_kinds import Cause
 from netem.parsing import nearest
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import PluginError

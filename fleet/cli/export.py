@@ -14,8 +14,8 @@ from fleet.cli.log_argument import Log, check_options
 from fleet.cli.types import FOLDER, Force, NoProgress
 from fleet.logs.other import other_data
 from fleet.option import Option, fields
-from fleet.terminal.status_line import showing
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing
+from fleet.terminal.width import say
 
 
 @command()

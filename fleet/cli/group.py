@@ -19,7 +19,7 @@ from fleet.addon import installed, load
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.verbs import every_verb, headings, hint_for, other_option, verb_of
 from fleet.errors import FleetError, harmless
-from fleet.terminal.table import say
+from fleet.terminal.width import say
 from netem.errors import NetemError
 
 EPILOG = (

@@ -17,7 +17,7 @@ from fleet.cli.documents.output import json_is_asked, print_document, print_resu
 from fleet.cli.group import USAGE
 from fleet.option import Option
 from fleet.terminal.status_line import rewritable
-from fleet.terminal.table import stdout
+from fleet.terminal.width import stdout
 
 if TYPE_CHECKING:
     from rich.console import Console, Group

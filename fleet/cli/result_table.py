@@ -16,8 +16,9 @@ from fleet.result.result import FaultEvent, LinkAge, Result, Status, VehicleResu
 from fleet.result.verdict import failed_first
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
-from fleet.terminal.table import INDENT, TerminalColumn, fold, width
-from netem.fault_kinds import Cause
+from fleet.terminal.table import TerminalColumn, width
+from fleet.terminal.width import INDENT, fold
+from netem.cause import Cause
 from netem.ledger import Account
 
 Say = Callable[..., None]

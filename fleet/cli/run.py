@@ -23,9 +23,10 @@ from fleet.cli.types import Trust, Whole, is_given
 from fleet.execution.options import Options
 from fleet.option import Option
 from fleet.terminal.output import OutputError, give_up_output
-from fleet.terminal.status_line import showing, stderr
-from fleet.terminal.table import say, stdout
-from netem.vehicle_clock import Clock
+from fleet.terminal.progress import showing
+from fleet.terminal.status_line import stderr
+from fleet.terminal.width import say, stdout
+from netem.clock import Clock
 
 if TYPE_CHECKING:
     from rich.console import Console as Terminal

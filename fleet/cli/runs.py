@@ -12,7 +12,7 @@ from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.types import AGE, Whole, Words
 from fleet.option import Option
-from fleet.terminal.table import stdout
+from fleet.terminal.width import stdout
 
 if TYPE_CHECKING:
     from rich.table import Table

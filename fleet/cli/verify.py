@@ -13,8 +13,8 @@ from fleet.cli.documents.output import json_is_asked, print_document, print_resu
 from fleet.cli.log_argument import Log, newest_log
 from fleet.cli.types import NoProgress, Trust
 from fleet.option import Option
-from fleet.terminal.status_line import showing, showing_time
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing, showing_time
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     pass

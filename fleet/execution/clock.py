@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from fleet.scenario.scenario import Scenario, frame_every
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 WINDOW_NS = 500_000_000  # sim time; also the latency of a live action
 

@@ -18,9 +18,9 @@ from netem.errors import BusError
 from netem.files import DamagedFile, parse_json, read_file
 from netem.limits import CONNECTION_FILE
 from netem.wire.bus import Bus
+from netem.wire.control import read_map, request
 from netem.wire.credentials import LEASE_MS, Credentials
 from netem.wire.keys import Keys
-from netem.wire.mailbox import read_map, request
 
 ASK_S = 5.0
 

@@ -26,12 +26,12 @@ from fleet.processes.children import Exit
 from fleet.processes.interrupts import deferring_interrupts
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
+from netem.clock import Clock
 from netem.errors import MalformedMessage, OutOfPlace
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Respond
 from netem.wire.codec import expect
+from netem.wire.control import read_map
 from netem.wire.credentials import CONSOLE, NETEM, WORLD
-from netem.wire.mailbox import read_map
 from netem.wire.messages import PROTOCOL_VERSION, Frames, Grant, Hello, LinkReport
 
 # --- accounts of a completed run: every message that one process sent, another received

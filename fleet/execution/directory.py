@@ -26,7 +26,8 @@ from fleet.logs.topic_names import RUN_NAME, STAMP, begun_at
 from fleet.result.file import RESULT, ResultError, read_result
 from fleet.result.result import Status
 from fleet.scenario.trust import remember
-from netem.files import open_file, write_whole
+from netem.files import open_file
+from netem.whole_file import write_whole
 
 LATEST = "latest"
 LOG, SCENARIO, CONNECTION, OBSERVE = "run.mcap", "scenario.yaml", "connection.json", "observe.json"

@@ -28,7 +28,8 @@ from fleet.execution.registry import RegistryError, register
 from fleet.execution.runner import Runner
 from fleet.execution.triggered import resolve_triggers
 from fleet.processes.interrupts import DeferInterrupts, HungUp
-from fleet.processes.limits import NO_THREAD, free_port, no_thread
+from fleet.processes.limits import NO_THREAD, no_thread
+from fleet.processes.ports import free_port
 from fleet.quantities import show_time
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
@@ -36,13 +37,15 @@ from fleet.recorder.start import Start
 from fleet.recorder.writer import LogWriter
 from fleet.replay.publisher import LivePublisher
 from fleet.result.file import write_result
-from fleet.result.result import Published, Punctual, Result, Status, Wall
+from fleet.result.result import Published, Result, Status, Wall
+from fleet.result.timing import Punctual
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.triggers import moments
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
-from fleet.terminal.status_line import BAR, StatusLine, bar, showing
-from fleet.terminal.table import GAP, Piece, shortened
-from netem.vehicle_clock import Clock
+from fleet.terminal.line import GAP, Piece, shortened
+from fleet.terminal.progress import showing
+from fleet.terminal.status_line import BAR, StatusLine, bar
+from netem.clock import Clock
 from world.errors import WorldError
 
 # --- progress: the display of a run while it goes on: its time and speed, the formation error, packets and faults

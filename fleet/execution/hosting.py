@@ -14,7 +14,7 @@ from fleet.errors import FleetError
 from fleet.execution.options import Options
 from fleet.processes.limits import processors
 from fleet.scenario.scenario import Scenario
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 from netem.wire.credentials import agent_role, host_role
 
 Process = TypeVar("Process")

@@ -32,8 +32,8 @@ from fleet.scenario.sections.node_names import numbered_values
 from fleet.scenario.sections.timeline import acts, begin_and_end, parts, with_end, words
 from fleet.scenario.sections.triggers import read_entry
 from fleet.scenario.sections.vehicle_events import vehicle_events
+from netem.clock import Clock
 from netem.faults import NetFault
-from netem.vehicle_clock import Clock
 from netem.wire.messages import WorldFault
 
 # --- fault request: one that is to begin in a run that goes on: checked by the rules of scenarios

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fleet.option import Kind, Limits, Option
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 if TYPE_CHECKING:
     from fleet.execution.rendezvous import Rendezvous

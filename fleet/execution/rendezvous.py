@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from netem.files import write_whole
+from netem.whole_file import write_whole
 from netem.wire.credentials import Credentials, Listener, agent_role
 from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION

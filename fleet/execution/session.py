@@ -16,13 +16,13 @@ from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.hosting import Hosting
 from fleet.execution.notes import Notes
 from fleet.scenario.scenario import Scenario
+from netem.clock import Clock
 from netem.errors import BusError
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
+from netem.wire.control import read_map, request
 from netem.wire.credentials import Credentials, agent_role, host_role
 from netem.wire.keys import Keys
-from netem.wire.mailbox import read_map, request
 from netem.wire.messages import Frames, Hello, LinkReport, Message
 
 # --- events: the console's input, one queue of events, filled by the threads of zenoh and the watcher of processes

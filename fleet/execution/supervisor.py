@@ -20,7 +20,7 @@ import agents.main
 import agents.process
 import netem.main
 import world.main
-from agents.process import running
+from agents.host_progress import running
 from fleet.errors import RunBroken
 from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import ExternalAgents
@@ -34,22 +34,23 @@ from fleet.processes.children import (
     Child,
     Children,
     Exit,
-    RunFolder,
     describe_exit,
     ended,
     forkserver_death,
     forkserver_suspended,
     suspended,
 )
-from fleet.processes.limits import allow_open_files, free_port, processors
+from fleet.processes.limits import allow_open_files, processors
+from fleet.processes.ports import free_port
+from fleet.processes.run_folder import RunFolder
 from fleet.recorder.journal import Journal
 from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
+from netem.clock import Clock
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.lives import Absence, Lives
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus
 from netem.wire.credentials import CONSOLE, LEASE_MS, NETEM, OPERATOR, WORLD, Listener, agent_role, generate, host_role
 from netem.wire.keys import Keys

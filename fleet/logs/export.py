@@ -30,9 +30,9 @@ from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable
 from fleet.scenario.text.yaml_reader import yaml_text
-from netem.fault_kinds import Cause
-from netem.files import part_of, write_whole
+from netem.cause import Cause
 from netem.limits import TRACE
+from netem.whole_file import part_of, write_whole
 
 # --- traces: `fleet export --traces`: what became of each packet of a link, as a trace that a scenario can use again
 

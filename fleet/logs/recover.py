@@ -18,7 +18,7 @@ from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.reader import GAPS, LOST, RECOVERY, OnProgress, log_files, log_path, lost, open_any
 from fleet.logs.records import LIBRARY, MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage
-from netem.files import whole_file
+from netem.whole_file import whole_file
 
 _YEAR_1973_S = 1e8
 

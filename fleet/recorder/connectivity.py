@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.scenario import Scenario
+from netem.cause import Cause
 from netem.condition import Link
-from netem.fault_kinds import Cause
 from netem.wire.messages import Fate
 
 

@@ -17,7 +17,7 @@ from math import hypot, inf, isfinite, sqrt
 from statistics import median
 from typing import NamedTuple
 
-from agents.config import Offset
+from agents.offset import Offset
 from agents.signals import SignalLayout
 from fleet.recorder.agent_reports import AgentProtocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed

@@ -57,9 +57,9 @@ from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT, locates
 from fleet.scenario.sections.timeline import Event
-from netem.fault_kinds import Cause
+from netem.cause import Cause
+from netem.clock import Clock
 from netem.relay import MessageFate
-from netem.vehicle_clock import Clock
 from netem.wire.messages import Command, Fate, Frame
 from world.plants.classes import plant_class
 from world.plugins.loading import fingerprint

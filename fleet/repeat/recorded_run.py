@@ -20,8 +20,8 @@ from fleet.scenario.sections.vehicle_events import is_fault
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy, ran_from
+from netem.clock import Clock
 from netem.limits import LOG_FAULTS
-from netem.vehicle_clock import Clock
 
 
 @dataclass(frozen=True, slots=True)

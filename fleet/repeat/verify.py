@@ -53,7 +53,7 @@ from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.trust import Policy, ran_from
 from netem.condition import Link
 from netem.impairment import LinkModel
-from netem.medium import PERFECT
+from netem.links import PERFECT
 from netem.wire.messages import Delivery, Nav
 from world.vectors import ZERO, Vec3
 

@@ -21,7 +21,8 @@ from fleet.errors import FleetError
 from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
 from fleet.terminal.status_line import StatusLine
 from netem.limits import LOG_RECORD
-from netem.wire.open_bus import ZenohSample, matching, sample_of
+from netem.wire.key_expression import matching
+from netem.wire.open_bus import ZenohSample, sample_of
 
 PROFILE = "zenoh"
 KIND, ENCODING = "zenoh.kind", "zenoh.encoding"

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from netem.files import read_json, write_whole
+from netem.files import read_json
 from netem.limits import OBSERVED
 from netem.private_folder import PrivateFolder
+from netem.whole_file import write_whole
 from netem.wire.credentials import OBSERVER, Credentials
 from netem.wire.keys import Keys
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import cache, cached_property, partial
 from pathlib import Path
 
-from agents.config import Offset
+from agents.offset import Offset
 from agents.trajectory import Reference
 from fleet.errors import FleetError
 from fleet.quantities import vehicle_numbers
@@ -28,13 +28,13 @@ from fleet.scenario.sections.nemesis_targets import NemesisTargets, instruments
 from fleet.scenario.sections.per_vehicle import Control, Entries
 from fleet.scenario.sections.trace_table import TraceTable
 from netem.condition import Condition, Link
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig, Modem
 from netem.vehicle_clock import VehicleClock
-from world.config import VehicleParams
 from world.vectors import Vec3, Vec5
+from world.vehicle_params import VehicleParams
 
 
 class UnknownValueError(FleetError):

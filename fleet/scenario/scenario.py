@@ -9,8 +9,9 @@ from math import gcd
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.config import AgentConfig, Law, Neighbour, Offset, OffsetChange
+from agents.config import AgentConfig, Law, Neighbour
 from agents.controllers import BUILT_IN, laws, layout
+from agents.offset import Offset, OffsetChange
 from agents.signals import SignalLayout
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.parts import Parts

@@ -27,9 +27,10 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from fleet import quantities as q
 from fleet.quantities import vehicle_numbers
 from netem.condition import Condition
+from netem.curve import Curve
 from netem.errors import TextError
-from netem.grammar import parse_condition, parse_selector, print_condition
-from netem.modem import Curve
+from netem.grammar import parse_condition, print_condition
+from netem.link_selector import parse_selector
 from netem.propagation import decibels, power
 from world.vectors import Vec3
 

@@ -12,7 +12,8 @@ from marks import slow
 
 from agents.agent import Agent, followed
 from agents.api import NeighbourState
-from agents.config import AgentConfig, Offset, OffsetChange
+from agents.config import AgentConfig
+from agents.offset import Offset, OffsetChange
 from agents.payload import StateMessage, encode
 from fleet.analysis.preflight import may_draw
 from fleet.execution.execute import execute

@@ -31,7 +31,7 @@ import netem.wire.bus
 import netem.wire.credentials
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader
-from fleet.processes.children import RunFolder
+from fleet.processes.run_folder import RunFolder
 from fleet.result.result import Status
 from netem.errors import BusError
 from netem.wire.bus import Bus, Respond

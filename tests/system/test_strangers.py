@@ -23,7 +23,8 @@ from waiting import wait_for
 
 import fleet.execution.supervisor
 from fleet.execution.directory import RunDirectory
-from fleet.processes.children import Children, Exit, RunFolder
+from fleet.processes.children import Children, Exit
+from fleet.processes.run_folder import RunFolder
 from fleet.result.result import Result, Status
 from netem.wire.bus import Bus
 from netem.wire.credentials import Credentials

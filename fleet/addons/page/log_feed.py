@@ -37,7 +37,7 @@ from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.limits import LOG_FAULTS
 
 MOST_SAMPLES = 600  # of a curve

@@ -44,7 +44,7 @@ from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.signals import parse_name
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.ages import Ages
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.ledger import Account
 from netem.wire.messages import Fate
 

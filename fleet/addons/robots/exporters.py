@@ -12,8 +12,8 @@ import click
 from fleet.cli.exporter import Exporter, Selection
 from fleet.cli.types import FOLDER, TIME
 from fleet.option import Option
-from fleet.terminal.status_line import showing
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing
+from fleet.terminal.width import say
 
 
 @dataclass(frozen=True, slots=True)

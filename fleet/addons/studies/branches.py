@@ -28,8 +28,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import moment_grid
 from fleet.scenario.sections.timeline import Event
 from netem.condition import Link
-from netem.grammar import parse_selector, select
-from netem.medium import PERFECT
+from netem.link_selector import parse_selector, select
+from netem.links import PERFECT
 from netem.transit import PendingPacket
 from netem.wire.messages import Command, Fate, Frame
 

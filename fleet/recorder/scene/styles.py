@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from fleet.palette import COLOURS
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 
 # --- link state
 # The state of a directed link, by what became of its last packets: one rule for the log, the page and the movie.

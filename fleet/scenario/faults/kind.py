@@ -12,7 +12,7 @@ from fleet.scenario.value_types import Section, section_of
 from netem.condition import Link
 from netem.fault_kinds import NetFaultKind, WorldFaultKind
 from netem.faults import NetFault
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.lives import Absence
 from netem.wire.messages import TimedFault, WorldFault
 

@@ -21,7 +21,7 @@ from fleet.scenario.schema.faults import ACTIONS
 from fleet.scenario.sections.signal_checks import SignalCheckError, ask, load_check, of_a_plugin, parameters_of
 from fleet.scenario.sections.signals import BeliefKind, SignalPlace, VehicleSignals
 from fleet.scenario.sections.triggers import ask_moment, fault_of, trigger_name, wait_ns
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.parsing import nearest
 from world.errors import PluginError
 

@@ -27,7 +27,7 @@ from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.swarm import span
 from netem.condition import Link
 from netem.errors import TextError
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 
 MOST_FAULTS = 5000  # of one scenario, those of its nemesis included: the cores test each in every tick
 MOST_TARGETS = 100_000  # faults times vehicles: each may be about all of them

@@ -23,7 +23,8 @@ from fleet.scenario.sections.modem_files import load_site, modem_of, modem_probl
 from fleet.scenario.sections.trace_table import TraceTable
 from netem.condition import Condition
 from netem.errors import TextError
-from netem.grammar import parse_selector, print_condition
+from netem.grammar import print_condition
+from netem.link_selector import parse_selector
 from netem.modem import Modem
 from netem.parsing import nearest
 

@@ -23,8 +23,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from agents import compact, payload
-from agents.config import Codec, Offset
+from agents.config import Codec
 from agents.localization import payload as located
+from agents.offset import Offset
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
 from fleet.scenario.sections.modem_files import (
     CURVES,

@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from math import cos, pi, sin
 
-from agents.config import Cylinder, KeepApartParams, Offset, OffsetChange
+from agents.config import Cylinder, KeepApartParams
+from agents.offset import Offset, OffsetChange
 from agents.trajectory import Circle, Motion, Path, Reference, StraightLine
 from fleet.scenario.schema.control import KeepApartSection
 from fleet.scenario.schema.motion import (

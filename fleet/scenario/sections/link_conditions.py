@@ -11,8 +11,8 @@ from fleet.scenario.sections.data_files import DataFileError, read_beside
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
 from netem.condition import Condition
 from netem.files import read_file
-from netem.grammar import parse_selector
 from netem.limits import TRACE
+from netem.link_selector import parse_selector
 from netem.link_states import LinkStates, stationary
 from netem.link_trace import LinkTrace
 

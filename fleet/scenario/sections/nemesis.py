@@ -20,7 +20,7 @@ from fleet.scenario.sections import episodes, liveness, swarm
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.condition import Link
 from netem.draws import bits
-from netem.grammar import Selector
+from netem.link_selector import Selector
 
 PURPOSE = "nemesis"  # of the draws
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)

@@ -26,12 +26,12 @@ from fleet.scenario.sections import data_files
 from fleet.scenario.sections.data_files import DataFileError, Number, table
 from fleet.scenario.sections.navigation import navigation_over
 from fleet.scenario.value_types import Section
-from world.config import VehicleParams
 from world.navigation.config import Navigation
 from world.plants.classes import model_of, signals_of
 from world.signal import Signal
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3
+from world.vehicle_params import VehicleParams
 
 # --- vehicle files
 # Vehicle files: the numbers of a vehicle in TOML, each with its unit and its source, so another one needs no code.

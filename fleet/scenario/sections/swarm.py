@@ -30,7 +30,8 @@ from fleet.scenario.sections.graph import beside, reached
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, Pair, free_name
 from netem.condition import Condition
 from netem.draws import bits, uniform
-from netem.grammar import Selector, print_condition, select
+from netem.grammar import print_condition
+from netem.link_selector import Selector, select
 
 # --- aims
 # Whom a fault is aimed at: resolved before the run, from the graph and the faults that are drawn before it.

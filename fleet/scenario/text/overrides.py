@@ -32,8 +32,9 @@ from fleet.scenario.sections.graph import parse_edge
 from fleet.scenario.text.fault_words import FaultWordsError, fault_entry, link_entries
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
 from netem.errors import TextError
-from netem.grammar import WORDS, parse_selector, with_word
+from netem.grammar import WORDS, with_word
 from netem.link_presets import link_presets
+from netem.link_selector import parse_selector
 
 # --- scaling
 # A scenario for another number of vehicles than it was written for: what `--set vehicles=N` does to the tree.

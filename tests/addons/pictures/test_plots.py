@@ -33,7 +33,7 @@ from fleet.logs.dataset import columns
 from fleet.logs.export import export
 from fleet.logs.topic_names import run_name
 from fleet.result.file import read_result
-from netem.fault_kinds import LOSSES, Cause
+from netem.cause import LOSSES, Cause
 from netem.ledger import Account
 
 pytestmark = pytest.mark.usefixtures("coarse")

@@ -20,7 +20,7 @@ from fleet.quantities import vehicle_numbers
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
-from netem.grammar import parse_selector
+from netem.link_selector import parse_selector
 
 FAULTS = (
     "faults=["

@@ -15,7 +15,7 @@ from fleet.execution import execute
 from fleet.execution.execute import ProgressLine
 from fleet.result.result import Formation
 from fleet.terminal.status_line import StatusLine
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.ledger import Account
 
 OF_FLEET = Formation(12.345, 4, 11.5, 4)

@@ -29,7 +29,7 @@ from fleet.recorder.scene.styles import CUTS, FOXGLOVE, HISTORY
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario
-from netem.fault_kinds import LOSSES, Cause
+from netem.cause import LOSSES, Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 
 FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"

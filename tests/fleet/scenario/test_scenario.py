@@ -17,7 +17,8 @@ from refusals import check_refusals
 from repository import EXPECTED
 from small_scenario import SMALL, WILD, accepted, places, read_back, small
 
-from agents.config import GuidanceParams, Neighbour, Offset, TrackingParams
+from agents.config import GuidanceParams, Neighbour, TrackingParams
+from agents.offset import Offset
 from agents.profiles import PROFILES, profile
 from agents.trajectory import StraightLine
 from fleet.errors import FleetError, ScenarioError

@@ -15,8 +15,8 @@ from fleet.cli.types import (
 )
 from fleet.errors import FleetError
 from fleet.option import Option
-from fleet.terminal.status_line import showing_steps
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing_steps
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.addons.robots.link_fit import LinkFit

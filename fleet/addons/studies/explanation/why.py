@@ -35,10 +35,10 @@ from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
 from fleet.scenario.text.yaml_reader import Source, inline, plain, read
 from fleet.scenario.trust import Policy
+from netem.clock import Clock
 from netem.condition import Link
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.parsing import nearest
-from netem.vehicle_clock import Clock
 
 
 class Why(Struct, frozen=True):

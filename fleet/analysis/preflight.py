@@ -16,7 +16,7 @@ from fleet.recorder.settling import least_s
 from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
-from fleet.scenario.schema.control import KeepApartSection
+from fleet.scenario.schema.keep_apart import KeepApartSection
 from fleet.scenario.sections.clocks import clock_sections
 from netem.condition import DEFAULT_LIMIT, Link, effective
 from netem.link_states import LinkStates

@@ -23,7 +23,8 @@ from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.result.verdict import LastMessage, Moment, Verdict, who
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import SOMETIMES
-from fleet.scenario.sections.signal_checks import ask, load_check, parameters_of
+from fleet.scenario.sections.python_checks import load_check, parameters_of
+from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, SignalPlace, VehicleSignals
 from fleet.scenario.sections.timeline import Event
 from fleet.scenario.sections.vehicle_events import DIVERGED

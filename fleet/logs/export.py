@@ -29,7 +29,7 @@ from fleet.logs.records import Array, Block
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable
-from fleet.scenario.text.yaml_reader import yaml_text
+from fleet.scenario.text.yaml_writer import yaml_text
 from netem.fault_kinds import Cause
 from netem.files import part_of, write_whole
 from netem.limits import TRACE

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from fleet.result.result import SignalValue
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.signals import checked_signals
+from fleet.scenario.sections.signal_checks import checked_signals
 
 
 class _Reported(NamedTuple):

@@ -21,10 +21,11 @@ from fleet.scenario.sections.formation import initial_rolls
 from fleet.scenario.sections.log_rates import log_every
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
-from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name, shipped_vehicles
+from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
 from fleet.scenario.sections.signals import BeliefKind
 from fleet.scenario.sections.triggers import trigger_lines
-from fleet.scenario.text import yaml_writer
+from fleet.scenario.sections.vehicle_files import shipped_vehicles
+from fleet.scenario.text import scenario_yaml
 from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
@@ -256,11 +257,11 @@ class Scenario:
 
         With another seed it has the same faults: for that there are `loading.changed` and `to_undrawn_yaml`.
         """
-        return yaml_writer.scenario_yaml(self.spec)
+        return scenario_yaml.scenario_yaml(self.spec)
 
     def to_undrawn_yaml(self) -> str:
         """The text for other processes that make runs with other seeds: the scenario before its nemesis drew faults."""
-        return yaml_writer.scenario_yaml(self.undrawn)
+        return scenario_yaml.scenario_yaml(self.undrawn)
 
 
 def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:

@@ -35,7 +35,7 @@ from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.signals import checked_signals
+from fleet.scenario.sections.signal_checks import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from netem.fault_kinds import Cause
 from netem.limits import LOG_FAULTS

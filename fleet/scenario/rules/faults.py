@@ -19,7 +19,8 @@ from fleet.scenario.rules.report import (
     vehicles_exist,
     whole_multiple,
 )
-from fleet.scenario.schema.faults import ACTIONS, OF_TARGET, FaultAction, FaultSection, NemesisSection
+from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
+from fleet.scenario.schema.nemesis import OF_TARGET, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes
 from fleet.scenario.sections.liveness import healed_at

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
-from fleet.scenario.schema.faults import CONDITIONS
+from fleet.scenario.schema.nemesis import CONDITIONS
 from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
 from netem.parsing import nearest
 

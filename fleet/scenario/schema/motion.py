@@ -1,4 +1,8 @@
-"""Reference, formation, graph and initial states."""
+"""Reference, formation, graph and initial states.
+
+The tables of named shapes say which keys each shape takes. A section holds the keys of all its shapes, and
+`fleet.scenario.rules.motion` compares them with its table.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,6 @@ from pydantic_core import CoreSchema, core_schema
 from fleet.quantities import QuantityError, describe_value, vehicle_numbers
 from fleet.scenario import value_types as v
 from fleet.scenario.value_types import Section, mistake
-
-# --- named shapes: which keys each takes, and what it is when they are not given
 
 
 class ShapeKeys(NamedTuple):

@@ -20,7 +20,6 @@ from fleet.scenario.schema.control import (
     AgentChoice,
     GuidanceChoice,
     GuidanceSection,
-    KeepApartSection,
     LawChoice,
     LawSection,
     NeighboursSection,
@@ -29,8 +28,9 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
-from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, TriggerSection
+from fleet.scenario.schema.faults import FaultEntry, SeaSection, TriggerSection
 from fleet.scenario.schema.groups import Group
+from fleet.scenario.schema.keep_apart import KeepApartSection
 from fleet.scenario.schema.motion import (
     FormationSection,
     GraphSection,
@@ -40,6 +40,7 @@ from fleet.scenario.schema.motion import (
     show_initial,
 )
 from fleet.scenario.schema.navigation import NavigationChoice
+from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
 from fleet.scenario.schema.nodes import Flag, Node, NodeName
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection

@@ -15,104 +15,19 @@ send for any number of vehicles, and also if a vehicle sometimes has no state to
 
 from __future__ import annotations
 
-from functools import lru_cache
 from math import sqrt
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
-
-import numpy as np
+from typing import TypeVar
 
 from agents import compact, payload
 from agents.config import Codec, Offset
 from agents.localization import payload as located
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
-from fleet.scenario.sections.modem_files import (
-    CURVES,
-    NUMBERS,
-    Values,
-    changed,
-    load_modem,
-    load_site,
-    without_replaced,
-)
+from fleet.scenario.sections.aloha import Talking, talking
+from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
+from fleet.scenario.sections.site_files import load_site
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem, RangingConfig
 from netem.propagation import SeaWater, sound_speed
-
-# --- aloha
-# How often a vehicle talks with aloha, and how much of that meets nobody, for any number of vehicles.
-#
-# Everything in whole ticks, as the modems do it: m a round, a an airtime, b the largest back-off, n vehicles. A
-# transmission that starts at phase p of its round (0 <= p < m) ends at p + a. The next news comes with the next round.
-# So the next start is w(p) = max(a, m - p) after it, and a back-off more, uniform in 0 ... b. That is a Markov chain of
-# phases; pi is its stationary distribution, and E w + b/2 the mean from one start to the next.
-#
-# The others do the same, each on its own. A start meets nobody if no other is less than an airtime before or after it.
-# Another vehicle was silent in ticks f ... l if its last start before f is followed by one after l:
-#
-#     q(p) = sum_(t < f) r(t) P(back-off > l - t - w(t)),   f = p - a + 1,  l = p + a - 1,  r(t) = pi(t mod m) m / mean
-#
-# and the share of starts that meet nobody is E q(p)^(n-1). With rounds no longer than an airtime there is always news,
-# w = a, and the sum is
-#
-#     q = (b - a + 1) (b - a + 2) / ((b + 1) (2 a + b)), in continuous time (B - T)^2 / (B (B + 2 T)),   0 for b < a
-#
-# which with B = 2 T (2 n - 1) is ((4 n - 3)^2 / (4 n (4 n - 2)))^(n-1) for all the others, and tends to e^-1 as n
-# grows. Left out: capture, and propagation, which shifts who meets whom.
-
-
-_CELLS = 3000  # ticks of an airtime and a back-off: beyond, several ticks count as one
-_STEPS = 2000
-_SETTLED = 1e-12
-
-
-class Talking(NamedTuple):
-    """The mean from one start to the next [ticks], and the share of starts that meet nobody."""
-
-    mean: float
-    alone: float
-
-
-@lru_cache(maxsize=16)
-def talking(round_ticks: int, airtime_ticks: int, backoff_ticks: int, vehicles: int) -> Talking:
-    """The long run of a vehicle among others that do the same; airtimes of a tick at least."""
-    if round_ticks <= airtime_ticks:
-        a, b = airtime_ticks, backoff_ticks
-        silent = (b - a + 1) * (b - a + 2) / ((b + 1) * (2 * a + b)) if b >= a else 0.0
-        return Talking(a + b / 2, silent ** (vehicles - 1))
-    scale = -(-(airtime_ticks + backoff_ticks) // _CELLS)
-    a, b, whole = (
-        max(least, round(t / scale)) for t, least in ((airtime_ticks, 1), (backoff_ticks, 0), (round_ticks, 1))
-    )
-    m = min(whole, a + b + 1)  # the rest of a longer round is silence
-    phases = np.arange(m)
-    wait = np.maximum(a, m - phases)
-    pi = _stationary(m, (phases + wait) % m, b)
-    mean = float(pi @ wait) + b / 2
-    rate = pi * m / mean
-    behind = np.arange(1, max(a, m) + b + 1)
-    alone = 0.0
-    for p in phases[pi > 0.0]:
-        first, last = p - a + 1, p + a - 1
-        then = first - behind
-        longer = np.clip(b - (last - then - wait[then % m]), 0, b + 1) / (b + 1)
-        alone += pi[p] * min(1.0, float(rate[then % m] @ longer)) ** (vehicles - 1)
-    return Talking((mean + whole - m) * scale, float(alone))
-
-
-def _stationary(m: int, earliest: Any, b: int) -> Any:
-    """The share of starts at each phase, when a start may be followed from `earliest` on, up to `b` later."""
-    back_off = np.bincount(np.arange(b + 1) % m, minlength=m) / (b + 1)
-    spectrum = np.fft.rfft(back_off)
-    pi = np.full(m, 1.0 / m)
-    for _ in range(_STEPS):
-        ready = np.bincount(earliest, weights=pi, minlength=m)
-        after = np.maximum(np.fft.irfft(np.fft.rfft(ready) * spectrum, m), 0.0)
-        after /= after.sum()
-        if float(np.abs(after - pi).sum()) < _SETTLED:
-            return after
-        pi = after
-    return pi
-
 
 DEFAULT_MODEM: str = AcousticSection.model_construct().modem
 DEFAULT_SPREADING = 1.5

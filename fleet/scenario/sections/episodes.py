@@ -34,7 +34,8 @@ from typing import Any, NamedTuple
 from fleet.quantities import show_time
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.schema.control import AgentSection
-from fleet.scenario.schema.faults import FaultSection, NemesisSection, TriggerSection
+from fleet.scenario.schema.faults import FaultSection, TriggerSection
+from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.draws import bits, uniform
 

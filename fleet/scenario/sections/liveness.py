@@ -12,7 +12,8 @@ from typing import Any
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.checks import ChecksSection, SignalCheck
-from fleet.scenario.schema.faults import FaultSection, NemesisSection
+from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.sections import swarm
 from fleet.scenario.sections.graph import beside
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name

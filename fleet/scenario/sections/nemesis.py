@@ -14,7 +14,8 @@ from fleet.scenario.faults.kind import OfLinks
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
-from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
+from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.schema.nemesis import NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes, liveness, swarm
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name

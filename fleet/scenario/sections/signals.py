@@ -19,7 +19,6 @@ from typing import NamedTuple
 from agents.localization.localizer import Localizer
 from agents.signals import HEARD, SignalLayout
 from fleet.errors import FleetError
-from fleet.scenario.schema.checks import ChecksSection
 from netem.parsing import nearest
 from world.navigation.config import Navigation, NavigationTrace
 from world.signal import Signal, width_of
@@ -230,20 +229,3 @@ def _hint(name: str, known: Mapping[str, int]) -> str:
     if not beside:
         return nearest(name, known) or f"there are {', '.join(dict.fromkeys(n.partition('.')[0] for n in known))}"
     return nearest(field, beside).replace('"', f'"{group}.', 1) or f"{group} has {', '.join(beside)}"
-
-
-# --- signals that the checks of a scenario are about: pictures show them without being asked
-
-_HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")  # of their own, everywhere
-
-
-def checked_signals(checks: ChecksSection, looked_at: Iterable[str] = ()) -> list[SignalName]:
-    """The signals that checks name or looked at, in their order, without the errors that are always drawn.
-
-    `checks`: of the scenario. `looked_at`: signals that judged checks looked at. Only what laws and plants report
-    counts there, since a check in Python may look at everything else.
-    """
-    texts = [check.topic for check in checks.signal or ()]
-    texts += [text for text in looked_at if text.partition(".")[0] in (*OF_THE_LAWS, OF_THE_PLANT)]
-    names = (parse_name(text) for text in dict.fromkeys(texts))
-    return [name for name in names if name is not None and name.name not in _HAVE_A_PICTURE]

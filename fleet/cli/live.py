@@ -389,7 +389,7 @@ def _more(count: int, what: str) -> str:
 
 
 def _worst(vehicles: list[VehicleRow], most: int) -> list[VehicleRow]:
-    from fleet.execution.operator import badness
+    from fleet.execution.live_status import badness
 
     worst = sorted(vehicles, key=lambda row: -badness(row.formation_m))[:most]
     return sorted(worst, key=lambda row: row.vehicle)

@@ -15,7 +15,7 @@ from fleet.analysis.stability import Analysis, oldest_s, slack
 from fleet.cli.documents.failure import ProblemRow, problem_rows
 from fleet.errors import Problem
 from fleet.execution.answers import LiveRunRow
-from fleet.execution.directory import PastRun
+from fleet.execution.past_runs import PastRun
 from fleet.logs.deviation import Difference, LogComparison
 from fleet.logs.fault_intervals import FaultTime
 from fleet.scenario.scenario import Scenario, timeline

@@ -15,7 +15,7 @@ from small_scenario import small
 
 from fleet.addons.learning.parallel_env import parallel_env
 from fleet.errors import FleetError
-from fleet.execution.stepped_run import run as run_once
+from fleet.execution.whole_run import run as run_once
 
 pytest.importorskip("pettingzoo", reason="the extra [rl] is not installed")
 from gymnasium.utils.env_checker import data_equivalence

@@ -6,7 +6,7 @@ import pytest
 from small_scenario import small
 
 from fleet.analysis.preflight import may_draw
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario
 

@@ -13,7 +13,7 @@ from small_scenario import SMALL, small
 import fleet.checks.own_checks
 from fleet.checks.own_checks import CheckError
 from fleet.errors import ScenarioError
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario
 

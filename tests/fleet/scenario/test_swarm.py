@@ -9,7 +9,7 @@ from statistics import mean
 import pytest
 from small_scenario import read_back, small
 
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import load_scenario

@@ -13,7 +13,7 @@ import msgspec
 from fleet.errors import FleetError
 from fleet.execution.directory import CONNECTION, OBSERVE, in_use
 from fleet.execution.registry import registered
-from fleet.logs.topic_names import RUN_NAME
+from fleet.logs.run_name import RUN_NAME
 from netem.errors import BusError
 from netem.files import DamagedFile, parse_json, read_file
 from netem.limits import CONNECTION_FILE

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from fleet.errors import FleetError
-from fleet.logs.topic_names import STAMP
+from fleet.logs.run_name import STAMP
 from fleet.result.file import RESULT
 from fleet.scenario.trust import remember
 from netem.files import open_file, write_whole

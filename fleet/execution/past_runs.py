@@ -14,7 +14,7 @@ from msgspec import Meta, Struct, field
 
 from fleet.errors import FleetError
 from fleet.execution.directory import LATEST, SCENARIO, in_use, link_latest, no_place
-from fleet.logs.topic_names import RUN_NAME, begun_at
+from fleet.logs.run_name import RUN_NAME, begun_at
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import Status
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from inspect import signature
 from math import dist
 from pathlib import Path
-from typing import Any, NamedTuple, Never, Self
+from typing import Any, NamedTuple, Never, Protocol, Self
 
 from agents.errors import AgentError
 from fleet.analysis.verdicts import judge, standing
@@ -26,8 +26,9 @@ from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.triggered import resolve_triggers
 from fleet.notebook import html_table
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.recorder.journal import WatchedLog, Watcher
+from fleet.recorder.journal import JournalSink
 from fleet.recorder.log_file import LogFile, NoDigest, NoLog
+from fleet.recorder.metrics import VehicleError
 from fleet.recorder.writer import LogWriter
 from fleet.result.result import Result, Status, Wall
 from fleet.result.verdict import Margin
@@ -37,7 +38,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.fault_words import read_fault
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from netem.parsing import nearest
-from netem.wire.messages import Nav
+from netem.wire.messages import Command, Frame, Nav
 from world.errors import WorldError
 from world.plugins.trust import trusting
 from world.vectors import Vec5, plus
@@ -423,3 +424,21 @@ def override_texts(changes: Changes) -> list[str]:
         # JSON is YAML, so a mapping or a list inside comes through.
         return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in changes.items()]
     return [str(change) for change in changes]
+
+
+class Watcher(Protocol):
+    """Sees every frame, with its decoded commands and errors by vehicle."""
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
+
+
+class WatchedLog:
+    """A sink of the journal that passes everything on."""
+
+    def __init__(self, log: JournalSink, watcher: Watcher) -> None:
+        self._log, self._watcher = log, watcher
+        self.packet, self.event = log.packet, log.event
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        self._log.frame(frame, commands, errors)
+        self._watcher.frame(frame, commands, errors)

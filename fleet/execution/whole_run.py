@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Never
 
 from fleet.execution.directory import RunDirectory
-from fleet.execution.stepped_run import Changes, Run, loaded
+from fleet.execution.stepped_run import Changes, Run, Watcher, loaded
 from fleet.execution.triggered import resolve_triggers
-from fleet.recorder.journal import Watcher
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.result.file import write_result
 from fleet.result.result import Result

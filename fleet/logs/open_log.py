@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
 
+from fleet.logs.digest import Digest
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
 from fleet.logs.reader import LogReader, LogReadError, OnProgress, digest, log_path, log_size
-from fleet.logs.records import Block, Digest
+from fleet.logs.records import Block
 from fleet.logs.schemas import FROM_TICK
 from fleet.logs.topic import STEP, LogKeyError, Topic
 from fleet.logs.topic_names import link_of
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fleet.scenario.scenario import Scenario
-
-
-# --- part: which messages of a log are kept: those of a time, and one in a number of each topic
 
 
 class Part(NamedTuple):

@@ -15,8 +15,9 @@ import yaml
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
+from fleet.logs.digest import Digest
 from fleet.logs.other import as_mcap
-from fleet.logs.records import MAGIC, Block, Digest, renumbered, together
+from fleet.logs.records import MAGIC, Block, renumbered, together
 from fleet.logs.salvage import Damage, Item, Salvage
 from netem.files import read_file
 from netem.limits import LOG_REST, SCENARIO

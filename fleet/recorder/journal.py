@@ -288,24 +288,3 @@ def _command(data: bytes) -> Command:
     command = decode(data)
     assert isinstance(command, Command)  # the world checked it before it went into the frame
     return command
-
-
-# --- watched: a run that is recorded and watched: what the journal writes is also shown to somebody who measures
-
-
-class Watcher(Protocol):
-    """Sees every frame, with its decoded commands and errors by vehicle."""
-
-    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
-
-
-class WatchedLog:
-    """A sink of the journal that passes everything on."""
-
-    def __init__(self, log: JournalSink, watcher: Watcher) -> None:
-        self._log, self._watcher = log, watcher
-        self.packet, self.event = log.packet, log.event
-
-    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        self._log.frame(frame, commands, errors)
-        self._watcher.frame(frame, commands, errors)

@@ -20,7 +20,7 @@ from agents.signals import SignalLayout
 from fleet.checks.values import BELIEF_SIZE as BELIEF_SIZE
 from fleet.checks.values import LOCATED_SIZE as LOCATED_SIZE
 from fleet.checks.values import belief_values, located_values
-from fleet.logs.mcap_writer import HEAD, MESSAGE, STAMP_BYTES, Batch
+from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
 from fleet.logs.schemas import (
     BELIEF,
     CLOCK_ERROR,

@@ -26,10 +26,13 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from fleet.recorder.scene.model import SLENDER, PlaceBelief, SceneModel, diameter, drawn_belief
+from fleet.recorder.scene.belief import PlaceBelief, drawn_belief
+from fleet.recorder.scene.link_state import HISTORY, LinkState, mark_of, state_of
+from fleet.recorder.scene.model import SLENDER, SceneModel, diameter
 from fleet.recorder.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive, points_of
-from fleet.recorder.scene.styles import FOXGLOVE, HISTORY, NO_AGENT, LinkState, mark_of, state_of
-from fleet.recorder.transforms import NO_TURN, Template, enu, field
+from fleet.recorder.scene.styles import FOXGLOVE, NO_AGENT
+from fleet.recorder.template import Template, field
+from fleet.recorder.transforms import NO_TURN, enu
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import WHERE_LOCATED, locates
 from netem.condition import Link

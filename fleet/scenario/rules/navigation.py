@@ -10,7 +10,8 @@ from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.navigation import FixSection, NavigationSection
 from fleet.scenario.schema.spec import sections
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_of, grade_problems, navigation_of
+from fleet.scenario.sections.navigation import DEFAULTS, KINDS, NUMBERS, grade_of, grade_problems
+from fleet.scenario.sections.navigation_trace import load_trace
 from fleet.scenario.sections.per_vehicle import Control
 from world.navigation.config import DeadReckoning, Navigation, NavigationTrace
 
@@ -45,7 +46,7 @@ def _section(parts: Parts, report: Report, path: tuple[str, ...], section: Navig
 
 def _files(parts: Parts, report: Report, path: tuple[str, ...], section: NavigationSection) -> None:
     try:
-        navigation_of(section, parts.folder) if section.trace is not None else grade_of(section, parts.folder)
+        grade_of(section, parts.folder) if section.trace is None else load_trace(section.trace, parts.folder)
     except DataFileError as error:
         for problem in error.problems:
             report.add(path, problem)

@@ -1,4 +1,4 @@
-"""The acoustic section of a scenario: the configuration of the channel, and how often each vehicle can send.
+"""The acoustic section of a scenario: the configuration of the channel.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -9,7 +9,7 @@
 
 The throughput of pure ALOHA is highest at G = 1/2, where it is 1/(2e) (N. Abramson, "The ALOHA system", AFIPS 1970).
 A vehicle that always has a state to send starts a transmission every T + B/2 on average: G = n T / (T + B/2). G = 1/2
-gives B = 2 T (2 n - 1), the default. This formula holds for many vehicles. The module `aloha` computes how often they
+gives B = 2 T (2 n - 1), the default. This formula holds for many vehicles. The module `turns` computes how often they
 send for any number of vehicles, and also if a vehicle sometimes has no state to send.
 """
 
@@ -23,7 +23,6 @@ from agents import compact, payload
 from agents.config import Codec, Offset
 from agents.localization import payload as located
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
-from fleet.scenario.sections.aloha import Talking, talking
 from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
 from fleet.scenario.sections.site_files import load_site
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem, RangingConfig
@@ -157,52 +156,6 @@ def extent_m(plans: tuple[Offset, ...]) -> float:
         sides = [max(place[axis] for place in places) - min(place[axis] for place in places) for axis in range(3)]
         longest = max(longest, sqrt(sum(side * side for side in sides)))
     return longest
-
-
-def turn_s(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> tuple[float, float]:
-    """The mean and the longest time [s] from the start of one transmission of a vehicle to the start of its next."""
-    period = network.period / 1e9
-    if acoustic.mac == "tdma":
-        turn = vehicles * acoustic.slot_ticks * tick_ns / 1e9
-        return max(period, turn), max(period, turn)
-    airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
-    backoff = acoustic.backoff_ticks * tick_ns / 1e9
-    return _talking(network, acoustic, vehicles, tick_ns).mean * tick_ns / 1e9, period + airtime + backoff
-
-
-def _talking(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> Talking:
-    airtime = -(-acoustic.modem.airtime_ns(SIZES[network.payload]) // tick_ns)
-    return talking(network.period // tick_ns, max(1, airtime), acoustic.backoff_ticks, vehicles)
-
-
-def greatest_age_s(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...], tick_ns: int) -> float:
-    """The greatest age [s] that a neighbour's state can have when it is used, if no payload is lost.
-
-    It is the sum of: one round, the longest time between two transmissions (see `turn_s`), airtime and propagation. A
-    state waits at most one round until it is sent. It is used until the next state of the same sender arrives.
-    """
-    airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
-    flight = extent_m(plans) / acoustic.sound_speed
-    _, longest = turn_s(network, acoustic, len(plans), tick_ns)
-    return network.period / 1e9 + longest + airtime + flight
-
-
-def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> str:
-    """One line of text: the airtime, and how often each vehicle sends."""
-    assert network.acoustic is not None
-    size = SIZES[network.payload]
-    airtime = acoustic.modem.airtime_ns(size) / 1e9
-    mean, _ = turn_s(network, acoustic, vehicles, tick_ns)
-    said = f"a {network.payload} payload has {size} bytes and takes {airtime:.4g} s of airtime"
-    line = f"acoustic modem {network.acoustic.modem}: {said}"
-    if acoustic.mac == "tdma":
-        slot = acoustic.slot_ticks * tick_ns / 1e9
-        return f"{line}; with slots of {slot:g} s each vehicle sends every {mean:.4g} s"
-    if acoustic.mac == "csma":
-        return f"{line}; each vehicle listens before it sends; alone it would send every {mean:.4g} s on average"
-    alone = _talking(network, acoustic, vehicles, tick_ns).alone
-    line += f"; each vehicle sends every {mean:.4g} s on average"
-    return f"{line}, and {alone:.0%} of its transmissions overlap no other"
 
 
 def describe_noise(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...]) -> str:

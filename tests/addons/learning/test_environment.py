@@ -238,7 +238,7 @@ def test_an_episode_that_is_over_or_has_not_begun() -> None:
 
 
 def test_without_the_extra_its_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.logs.dataset.find_spec", lambda name: None)
+    monkeypatch.setattr("fleet.logs.table.find_spec", lambda name: None)
     with pytest.raises(FleetError, match=r"parallel_env needs pettingzoo, gymnasium, which are not .*uuv-fleet\[rl\]"):
         parallel_env(small())
 

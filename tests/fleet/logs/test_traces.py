@@ -9,7 +9,7 @@ from tool import invoke
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.export import link_trace, write_traces
+from fleet.logs.link_traces import link_trace, write_traces
 from fleet.logs.open_log import Log, open_log
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario

@@ -16,7 +16,8 @@ from refusals import check_refusals
 from small_scenario import SMALL, read_back, small
 
 from fleet.analysis.link_shares import effective_loss, link_lines
-from fleet.analysis.preflight import may_draw, warnings
+from fleet.analysis.preflight import warnings
+from fleet.analysis.randomness import may_draw
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import changed, parse_scenario
 from fleet.scenario.scenario import Scenario

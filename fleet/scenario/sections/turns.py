@@ -1,6 +1,7 @@
-"""How often a vehicle talks with aloha, and how much of that meets nobody, for any number of vehicles.
+"""How often each vehicle of an acoustic channel sends, and how old its state is when it is used.
 
-Everything in whole ticks, as the modems do it: m a round, a an airtime, b the largest back-off, n vehicles. A
+With `tdma` a vehicle has a slot per frame. With `aloha` it is drawn, for any number of vehicles in this way. Everything
+is in whole ticks, as the modems do it: m is a round, a an airtime, b the largest back-off, and there are n vehicles. A
 transmission that starts at phase p of its round (0 <= p < m) ends at p + a. The next news comes with the next round.
 So the next start is w(p) = max(a, m - p) after it, and a back-off more, uniform in 0 ... b. That is a Markov chain of
 phases; pi is its stationary distribution, and E w + b/2 the mean from one start to the next.
@@ -25,6 +26,11 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from agents.config import Offset
+from fleet.scenario.schema.network import NetworkSection
+from fleet.scenario.sections.acoustic import SIZES, extent_m
+from netem.modem import AcousticConfig
 
 _CELLS = 3000  # ticks of an airtime and a back-off: beyond, several ticks count as one
 _STEPS = 2000
@@ -78,3 +84,49 @@ def _stationary(m: int, earliest: Any, b: int) -> Any:
             return after
         pi = after
     return pi
+
+
+def turn_s(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> tuple[float, float]:
+    """The mean and the longest time [s] from the start of one transmission of a vehicle to the start of its next."""
+    period = network.period / 1e9
+    if acoustic.mac == "tdma":
+        turn = vehicles * acoustic.slot_ticks * tick_ns / 1e9
+        return max(period, turn), max(period, turn)
+    airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
+    backoff = acoustic.backoff_ticks * tick_ns / 1e9
+    return _talking(network, acoustic, vehicles, tick_ns).mean * tick_ns / 1e9, period + airtime + backoff
+
+
+def _talking(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> Talking:
+    airtime = -(-acoustic.modem.airtime_ns(SIZES[network.payload]) // tick_ns)
+    return talking(network.period // tick_ns, max(1, airtime), acoustic.backoff_ticks, vehicles)
+
+
+def greatest_age_s(network: NetworkSection, acoustic: AcousticConfig, plans: tuple[Offset, ...], tick_ns: int) -> float:
+    """The greatest age [s] that a neighbour's state can have when it is used, if no payload is lost.
+
+    It is the sum of: one round, the longest time between two transmissions (see `turn_s`), airtime and propagation. A
+    state waits at most one round until it is sent. It is used until the next state of the same sender arrives.
+    """
+    airtime = acoustic.modem.airtime_ns(SIZES[network.payload]) / 1e9
+    flight = extent_m(plans) / acoustic.sound_speed
+    _, longest = turn_s(network, acoustic, len(plans), tick_ns)
+    return network.period / 1e9 + longest + airtime + flight
+
+
+def describe_turns(network: NetworkSection, acoustic: AcousticConfig, vehicles: int, tick_ns: int) -> str:
+    """One line of text: the airtime, and how often each vehicle sends."""
+    assert network.acoustic is not None
+    size = SIZES[network.payload]
+    airtime = acoustic.modem.airtime_ns(size) / 1e9
+    mean, _ = turn_s(network, acoustic, vehicles, tick_ns)
+    said = f"a {network.payload} payload has {size} bytes and takes {airtime:.4g} s of airtime"
+    line = f"acoustic modem {network.acoustic.modem}: {said}"
+    if acoustic.mac == "tdma":
+        slot = acoustic.slot_ticks * tick_ns / 1e9
+        return f"{line}; with slots of {slot:g} s each vehicle sends every {mean:.4g} s"
+    if acoustic.mac == "csma":
+        return f"{line}; each vehicle listens before it sends; alone it would send every {mean:.4g} s on average"
+    alone = _talking(network, acoustic, vehicles, tick_ns).alone
+    line += f"; each vehicle sends every {mean:.4g} s on average"
+    return f"{line}, and {alone:.0%} of its transmissions overlap no other"

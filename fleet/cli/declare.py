@@ -113,9 +113,16 @@ def command(
     """Make a function a command.
 
     Args:
-        name: by default that of the function.
+        name: what the user types; by default the name of the function.
+        epilog: what stands at the end of its help, such as examples.
         document: the struct that `--json` prints, as `module.Class`; of several, each by the words that ask for it.
-        group: which the command belongs to.
+        group: the command that it belongs to, as `certs` belongs to `hosts`; None: it is a verb of `fleet`.
+
+    Returns:
+        What makes the command of a function. The first line of the function's docstring is its help.
+
+    Raises:
+        KeyError: no type of the command line reads a parameter, which needs a `click.ParamType` beside its type.
     """
 
     def declare(function: Callable[..., None]) -> DeclaredCommand:

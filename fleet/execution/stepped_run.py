@@ -121,9 +121,13 @@ class Run:
         """The run of a scenario that is loaded.
 
         Args:
+            scenario: what is run.
             log: where it is recorded; None: nowhere, with the digest that a log would have.
             watcher: sees every frame.
             agents: by vehicle, what makes an agent in place of the scenario's.
+
+        Returns:
+            The run before its first tick.
 
         Raises:
             CheckError: a check in Python cannot be made.
@@ -206,6 +210,9 @@ class Run:
         Args:
             check: name of the check.
 
+        Returns:
+            The margin with its unit, and when it was least [s].
+
         Raises:
             FleetError: the scenario has no such check.
         """
@@ -215,9 +222,15 @@ class Run:
         return verdicts[check].margin
 
     def step(self, by: int | str = 1) -> State:
-        """Go on by some ticks, or by a time such as "1 s", at most to the end of the run.
+        """Go on, at most to the end of the run.
 
         If the run breaks, `over` is True from then on, and `result` says why.
+
+        Args:
+            by: a number of ticks, or a time such as "1 s".
+
+        Returns:
+            The fleet before the next tick.
 
         Raises:
             FleetError: the run is over, or the time is no whole number of ticks.
@@ -226,7 +239,14 @@ class Run:
         return self.state
 
     def go(self, ticks: int) -> None:
-        """As `step`, by a number of ticks, without computing the state."""
+        """As `step`, without computing the state.
+
+        Args:
+            ticks: by how many to go on, at most to the end of the run.
+
+        Raises:
+            FleetError: the run is over.
+        """
         if self._closed:
             raise FleetError(f"the run is over at t = {self.t:g} s: {self._result.reason or 'it came to its end'}")
         with self._going_on():
@@ -236,7 +256,12 @@ class Run:
             self._finish()
 
     def answer(self, i: int, answers: list[Any]) -> None:
-        """Take what agent i answers now; of agents that answer later than they are asked."""
+        """Take the answers of an agent that answers later than it is asked.
+
+        Args:
+            i: number of its vehicle.
+            answers: its messages, in their order.
+        """
         with self._going_on():
             self._runner.answer(i, answers)
         if self._runner.finished:
@@ -292,10 +317,13 @@ class Run:
         return self._runner.can_be_copied
 
     def to_end(self, progress: Callable[[float], None] | None = None) -> Result:
-        """Go on to the end of the run; returns the result.
+        """Go on to the end of the run.
 
         Args:
             progress: called with the simulated time [s] all the time.
+
+        Returns:
+            The verdicts and all numbers, also of a run that broke.
         """
         tick_s = self.scenario.tick_ns / 1e9
 
@@ -387,6 +415,19 @@ def loaded(
 ) -> Scenario:
     """The scenario that a function was given, with the changes.
 
+    Args:
+        function: the function, for the words about an unknown argument.
+        scenario: a shipped name, a file, or a loaded scenario.
+        set: changes, as for `fleet.run`; so `net`, `fault`, `seed` and `trust`.
+        net: conditions of links.
+        fault: further faults.
+        seed: replaces the scenario's seed.
+        trust: run modules, too, that are neither installed nor the user's own.
+        unknown: arguments that the function does not have.
+
+    Returns:
+        The scenario with every change in it.
+
     Raises:
         ScenarioError: with every mistake that was found.
         TypeError: an argument is unknown.
@@ -414,6 +455,12 @@ def loaded(
 
 def override_texts(changes: Changes) -> list[str]:
     """Changes as the texts of `--set`.
+
+    Args:
+        changes: a mapping of keys to values, or such texts.
+
+    Returns:
+        Texts such as `duration=20 s`.
 
     Raises:
         TypeError: they are neither a mapping nor texts.

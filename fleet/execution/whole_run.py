@@ -82,8 +82,13 @@ def judged(
     """The result of a scenario that is loaded; see `run`.
 
     Args:
+        scenario: what is run.
+        progress: called with the simulated time [s] during the run.
         watcher: sees every frame.
         log: where the run is recorded; None: nowhere, with the digest that a log would have.
+
+    Returns:
+        The verdicts and all numbers. A run that breaks is a result, too.
 
     Raises:
         LogError: the log cannot be written.

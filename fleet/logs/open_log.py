@@ -91,6 +91,12 @@ class Log:
     def __getitem__(self, topic: str) -> Topic:
         """The topic of a name.
 
+        Args:
+            topic: such as `uuv/1/state`.
+
+        Returns:
+            Its messages. They are decoded when a field is first used.
+
         Raises:
             LogKeyError: the log has no such topic; a `KeyError` as well.
         """
@@ -168,6 +174,12 @@ class Log:
             >>> fleet.open_log("runs/latest").to_xarray("uuv/1/state").z.attrs["units"]
             'm'
 
+        Args:
+            topic: name of the topic.
+
+        Returns:
+            Variables of (t,) each, a vector as one variable per component.
+
         Raises:
             FleetError: xarray is not installed (extra `tables`), or the topic is no table.
             LogReadError: there is no such topic, or more memory is needed than allowed; `open_log` can choose topics.
@@ -179,7 +191,13 @@ class Log:
         return tree(self.path, self._topics.values(), self.run, self.most_held)
 
     def to_pandas(self, topic: str) -> pd.DataFrame:
-        """A topic as a table; `attrs["units"]` and `attrs["meanings"]` have those of its columns.
+        """A topic as a table.
+
+        Args:
+            topic: name of the topic.
+
+        Returns:
+            A row per message, a column per number. `attrs["units"]` and `attrs["meanings"]` say what is in each column.
 
         Raises:
             FleetError: pandas is not installed (extra `tables`), or the topic is no table.
@@ -210,6 +228,9 @@ class Log:
         """SHA-256 over the ordered messages of the file, in hexadecimal, as `fleet run` prints it.
 
         It covers all topics, also unopened ones. For a damaged file it covers the part before the damage.
+
+        Raises:
+            LogReadError: the file is not there any more.
         """
         return digest(self.path)
 
@@ -224,7 +245,11 @@ class Log:
 
     @property
     def events(self) -> list[FaultInterval]:
-        """When vehicles were tumbled or diverged, in the order of the beginnings. Raises LogReadError as `faults`."""
+        """When vehicles were tumbled or diverged, in the order of the beginnings.
+
+        Raises:
+            LogReadError: the log holds more events of faults than are read.
+        """
         return [interval for interval in self._intervals if not is_fault(interval.what)]
 
     @cached_property

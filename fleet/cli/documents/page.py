@@ -88,7 +88,8 @@ def _section(heading: str, record: dict[str, Any], known: set[str]) -> str:
     lines = [row for name, row in rows.items() if name not in bare]
     known.update(lines)
     shown = [f"- `{'`, `'.join(bare)}`"] if bare else []
-    return "\n".join([heading, "", _COMMAND.sub("", record["description"]), "", *shown, *lines, ""])
+    about = record["description"].partition("\nAttributes:\n")[0].rstrip()  # the attributes follow here as keys
+    return "\n".join([heading, "", _COMMAND.sub("", about), "", *shown, *lines, ""])
 
 
 def _words(name: str, field: dict[str, Any]) -> str:

@@ -42,7 +42,7 @@ def main() -> None:
         if not error.reader_gone:
             sys.stderr.write(f"fleet: {error}\n")
         give_up_output()
-    gc.freeze()  # or Python's end, which collects again, would walk through everything for a tenth of a second
+    gc.freeze()  # otherwise Python's end would collect again, and walk through everything for a tenth of a second
     # From here on Python would print what a handler raises.
     for number in ENDING:
         if signal.getsignal(number) is _interrupt:
@@ -130,7 +130,7 @@ def damaged(error: ImportError) -> str:
 
 
 def _begins(spec: ModuleSpec, begin: bytes) -> bool:
-    loader: Any = spec.loader  # of a file or of a zip file
+    loader: Any = spec.loader  # the loader of a file or of a zip file
     if spec.origin is None or not hasattr(loader, "get_data"):
         return False  # a folder without __init__.py, for instance
     if not spec.origin.endswith(".py"):

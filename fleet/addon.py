@@ -24,7 +24,7 @@ class Verb(NamedTuple):
     """One command of `fleet`."""
 
     command: str  # `module:name` of a click command, such as `fleet.cli.declare.command` makes
-    help: str  # its line in `fleet --help`
+    help: str  # the line of the command in `fleet --help`
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

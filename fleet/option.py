@@ -42,7 +42,7 @@ class Kind(Enum):
 class Option(NamedTuple):
     """The words about a field, and its names."""
 
-    help: str  # of `--help` and of Python's `help`
+    help: str  # text for `--help` and for Python's `help`
     metavar: str | None = None  # the word for the value, if the type of the field has none
     flag: str | None = ""  # several with spaces between; "": `--` and the name of the field; None: no option
     keyword: str = ""  # in Python; "": the name of the field
@@ -65,11 +65,11 @@ class OptionField(NamedTuple):
 
     name: str
     shape: Any  # `dict`: texts by key; `list`, `tuple`: several values; else the type of its one value, or Literal
-    kind: Kind  # of its texts
+    kind: Kind  # the kind of its texts
     default: Any
     option: Option
     limits: tuple[int | None, int | None]
-    words: tuple[str, ...]  # of a Literal
+    words: tuple[str, ...]  # the words of a Literal
     about: tuple[Any, ...]  # all else that stands beside the type
     item: Any  # the annotation of one of several values
     reader: str = ""  # the module that reads texts of the kinds that no type of the command line reads

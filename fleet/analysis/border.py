@@ -61,7 +61,7 @@ MOST_VEHICLES = 20  # beyond it the computation takes seconds, and only the rule
 LEAST_GAIN, MOST_GAIN = 1e-3, 50.0  # 1/s, between which a border is looked for
 MOST_DELAY_S = 10.0
 MOST_WORK_S = 20.0  # vehicles times the longest delay of their links: 4 s of CPU, which grow faster than this
-FINE = 0.002  # of a border, relative
+FINE = 0.002  # relative accuracy of a border
 LIVE = 30.0  # rad/s: the loops of the vehicles are slower
 SLOW = 0.2  # rad/s
 

@@ -42,10 +42,10 @@ from world.vectors import Vec3, Vec5
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Complex = np.ndarray[Any, np.dtype[np.complex128]]
-LOOPS = ("speed", "course", "pitch")  # they move a vehicle ahead, to starboard, down
-MOST_CONDITION = 1e8  # of eigenvectors; in the scenarios that ship it is at most 1e6
+LOOPS = ("speed", "course", "pitch")  # the loops that move a vehicle ahead, to starboard, down
+MOST_CONDITION = 1e8  # condition of eigenvectors; at most 1e6 in the scenarios that ship
 
-STEP = 1e-6  # of the central differences: m, rad, m/s and so on
+STEP = 1e-6  # step of the central differences: m, rad, m/s and so on
 STEADY = 1e-9  # what may be left per tick of a motion that is called steady
 _PLANT = 10  # x, y, z, theta, psi, u, v, w, q, r
 _CALM5: Vec5 = (0.0, 0.0, 0.0, 0.0, 0.0)

@@ -30,7 +30,7 @@ class Slack(NamedTuple):
     """The time that slots leave for clocks that differ."""
 
     difference_s: float  # d
-    drift: float  # of each clock, from the start to the end of the run [s/s]
+    drift: float  # drift of each clock, from the start to the end of the run [s/s]
 
 
 def slack(scenario: Scenario) -> Slack | None:

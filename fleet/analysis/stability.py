@@ -36,7 +36,7 @@ from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.turns import describe_turns, greatest_age_s
 from world.vectors import Vec3
 
-_SAME = 1e-9  # of a ratio's logarithm
+_SAME = 1e-9  # difference of two logarithms of ratios
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +45,12 @@ class Analysis:
 
     components: list[list[int]]  # vehicles that are connected, links taken both ways
     unreached: list[int]  # vehicles that no chain of links connects with one that follows the reference
-    eigenvalues: list[complex]  # of L + B, by real part
+    eigenvalues: list[complex]  # eigenvalues of L + B, by real part
     spectral_radius_A: float
     gain_max: float | None  # 1/s; None when no vehicle of the paper's guidance is there
-    settled: Vec3 | None  # largest gain per axis at which it settles [1/s, NED]; likewise
+    settled: Vec3 | None  # largest gain per axis at which it settles [1/s, NED]; None as `gain_max`
     at_most: LinearFleet | None  # the whole loop, with gains in proportion to the largest
-    at_settled: LinearFleet | None  # and to those at which it settles
+    at_settled: LinearFleet | None  # the fleet with the gains at which it settles
     not_linear: str  # why there is none
     warnings: list[str] = field(default_factory=list)
 

@@ -49,7 +49,7 @@ class Fault(NamedTuple):
 class Facts(NamedTuple):
     """The facts about the scenario that a check gets."""
 
-    scenario: str  # its name
+    scenario: str  # name of the scenario
     seed: int
     vehicles: int  # how many; their numbers are 1 to this one
     duration: float  # s
@@ -101,15 +101,15 @@ class Tick(NamedTuple):
     tick: int
     t: float  # s
     vehicles: tuple[Vehicle, ...]  # all, by number
-    faults: tuple[Fault, ...]  # that are active
-    packets: tuple[Packet, ...]  # whose fates have become final since the step before
+    faults: tuple[Fault, ...]  # the active ones
+    packets: tuple[Packet, ...]  # packets whose fate has become final since the step before
 
 
 class Failure(NamedTuple):
     """The property is broken."""
 
     message: str  # what is wrong, in one line
-    vehicles: tuple[int, ...] = ()  # whose fault it is
+    vehicles: tuple[int, ...] = ()  # the vehicles at fault
     values: Mapping[str, float] = {}  # what shows it, by name
 
 

@@ -174,7 +174,7 @@ def _ended(what: str) -> list[int]:
         return []
     try:
         return vehicle_numbers(vehicles)
-    except QuantityError:  # of a log of another version
+    except QuantityError:  # the log is of another version
         return []
 
 

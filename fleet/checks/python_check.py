@@ -20,11 +20,11 @@ from netem.wire.messages import Fate
 from world.errors import PluginError
 from world.plugins.fence import Fence, shown
 
-BUDGET_S = 5.0  # of wall time, that one call may take
+BUDGET_S = 5.0  # wall time that one call may take
 PATIENCE = 12  # times that, if it hardly computes: a suspended process or a busy machine breaks no check
 _MOST_TEXT = 300  # characters of a message, or of a text about what was found
 _MOST_PARAMETER = 50  # characters of one in the words of its check
-_MOST_VALUES = 100  # of a failure, and vehicles
+_MOST_VALUES = 100  # values and vehicles of one failure
 
 
 class CheckError(FleetError):
@@ -138,7 +138,7 @@ class RunningPythonCheck:
         return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
 
     def _judged(self, moment: Moment | None, now: int, *, over: bool) -> Verdict:
-        found, value = "as asked", 1.0  # it failed once
+        found, value = "as asked", 1.0  # a check that failed did so once
         method = getattr(self._check, "verdict", None)
         if self._failure is None and callable(method):
             try:
@@ -151,7 +151,7 @@ class RunningPythonCheck:
                     # What only the end can show is not failed while the run goes on.
                     return self._verdict(False if over else None, _words(at_end), value if over else None)
             except CheckError as error:
-                if not over:  # it may have too little to go by; whether anybody asks now must change nothing
+                if not over:  # the check may have too little to go by, and asking now must change nothing
                     return self._verdict(None, _broken(error).message, None)
                 self._break(error)
         if self._failure is None:

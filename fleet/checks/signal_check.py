@@ -36,7 +36,7 @@ from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCondition
 from fleet.scenario.sections.signals import SignalPlace
 from fleet.scenario.sections.timeline import Event
 
-Unit = tuple[int, ...]  # the vehicle that a number belongs to, or those that make a spread or are true
+Unit = tuple[int, ...]  # the vehicle that a number belongs to, or the vehicles that make a spread
 _FLEET: Unit = ()  # one number of all vehicles
 
 
@@ -125,7 +125,7 @@ def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[U
     if len(there) < 2:
         return _FLEET, None
     low, high = min(there, key=lambda one: one[1]), max(there, key=lambda one: one[1])
-    if low[1] == high[1]:  # of equal infinities the difference is no number
+    if low[1] == high[1]:  # the difference of equal infinities is no number
         return _FLEET, 0.0
     return tuple(sorted((low[0], high[0]))), high[1] - low[1]
 
@@ -192,7 +192,7 @@ class _Safety:
                 value = length * self._tick_ns / 1e9
                 words = f"for at most {value:g} s{who(list(whose))}, from {self._s(since)} s"
             if self.failure and self._longest == self._by_then:
-                words = ""  # that is said
+                words = ""  # the failure says it already
         else:
             _, value, whose, tick = worst
             words = "" if tick == self._first else f"{self._side()} {self._show(value)}{who(list(whose))}"
@@ -235,12 +235,12 @@ class _Liveness:
 
     def __init__(self, asked: AskedOfSignal, scenario: Scenario, after: int) -> None:
         self._asked, self._tick_ns, self._last, self._after = asked, scenario.tick_ns, scenario.ticks, after
-        self._begin: int | None = after if asked.fault is None else None  # of the wait that goes on
+        self._begin: int | None = after if asked.fault is None else None  # begin of the wait that goes on
         self._whose = ""  # fault
         self._since: dict[Unit, int] = {}  # where it began to hold
         self._done: set[Unit] = set()
         self._took: tuple[int, Unit, str] | None = None  # ticks, whose, after which fault: the slowest of this wait
-        self._slowest: tuple[int, Unit, str] | None = None  # of all waits that were judged
+        self._slowest: tuple[int, Unit, str] | None = None  # the slowest of all waits that were judged
         self._judged = self._dropped = 0  # waits
         self._late_ns = 0  # how much later than asked it was when a wait failed
         self._distance = EventuallyMargin(asked, scenario.tick_ns)
@@ -412,7 +412,7 @@ class EventuallyMargin:
         self._begin: int | None = None
         self._worst: dict[Unit, deque[tuple[int, float]]] = {}  # samples that may be the worst of a stretch, rising
         self._since: dict[Unit, int] = {}
-        self._best: dict[Unit, tuple[float, int]] = {}  # of each, in the wait that goes on
+        self._best: dict[Unit, tuple[float, int]] = {}  # the best margin of each, in the wait that goes on
         self._least: tuple[float, int] | None = None
 
     def begin(self, tick: int) -> None:
@@ -440,7 +440,7 @@ class EventuallyMargin:
             while worst[0][0] < tick - self._width:
                 worst.popleft()
             since = self._since.setdefault(key, tick)
-            start = tick - self._width  # of the stretch that ends now
+            start = tick - self._width  # the stretch that ends now begins there
             if since <= start <= self._begin + self._within and abs(worst[0][1]) < inf:
                 self._best[key] = max(self._best.get(key, (-inf, 0)), (worst[0][1], tick))
 

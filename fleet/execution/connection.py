@@ -37,8 +37,8 @@ class ConnectionFile(msgspec.Struct):
     """The content of a connection file; one with any other content is not ours."""
 
     scenario: str
-    pid: Annotated[int, msgspec.Meta(gt=0, lt=2**31)]  # of the console
-    endpoint: str  # of the run's router, as zenoh writes it
+    pid: Annotated[int, msgspec.Meta(gt=0, lt=2**31)]  # process of the console
+    endpoint: str  # the run's router, as zenoh writes it
     run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]  # the run's id
     user: str
     password: str
@@ -129,7 +129,7 @@ def choose(run: str | None, file: str, *, to_act: bool = False) -> Path:
 def _working_directory() -> Path:
     try:
         return Path.cwd()
-    except FileNotFoundError:  # it was removed: then no run is below it
+    except FileNotFoundError:  # the folder was removed, so no run is below it
         return Path("/nowhere")
 
 

@@ -88,7 +88,7 @@ class Console:
                 raise
             self.closing = self._close()
         finally:
-            with deferring_interrupts():  # or processes would stay, and an open session would keep us from ending
+            with deferring_interrupts():  # otherwise processes stay, and an open session keeps us from ending
                 self._fleet.close()
 
     # The stages of a run.
@@ -249,7 +249,7 @@ class Readiness:
     """The processes that are ready, at one moment."""
 
     missing: str  # who is not, in words; empty: everyone is ready
-    only_external: bool = False  # nobody is missing but agents that somebody else starts
+    only_external: bool = False  # only agents are missing that somebody else starts
 
 
 def readiness(

@@ -106,7 +106,7 @@ def _where(role: str, child: Child) -> str:
 def _condition(role: str, child: Child) -> str:
     """Words on a process that cannot answer, so that a forgotten SIGSTOP is seen at once; mostly none, or the host."""
     where = _where(role, child)
-    if ended(child.pid):  # and its exit has not been reported
+    if ended(child.pid):  # the process ended, and its exit has not been reported
         return f" ({where} has ended; {forkserver_suspended() or 'it has not been reaped yet'})"
     if suspended(child.pid):
         return f" ({where} is suspended)"

@@ -129,7 +129,7 @@ def _prepare(
     try:
         while_it_lives.callback(register(directory).unlink, missing_ok=True)
     except RegistryError as error:
-        if not in_process:  # which answers nobody
+        if not in_process:  # a run in one process answers no command
             line.print(f"the run is not registered: {error}; commands find it with --run {directory.path}")
     number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
     publisher = (
@@ -151,7 +151,7 @@ def _prepare(
     elif in_process:
         runner = InProcess(scenario, journal, None if moment is None else moment.run)
     else:
-        from fleet.execution.console import Console  # and with it zenoh and multiprocessing
+        from fleet.execution.console import Console  # here, because it imports zenoh and multiprocessing
 
         runner = Console(scenario, directory, journal, options, shared, number, line.print)
     result = Result(

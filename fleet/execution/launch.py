@@ -33,7 +33,7 @@ from netem.wire.keys import Keys
 from netem.wire.session import PENDING
 from netem.wire.vehicle_bus import Ends
 
-FORKSERVER_S = 0.2  # how long to wait for the end of a fork server that does not answer
+FORKSERVER_S = 0.2  # wait for the end of a fork server that does not answer
 # Processes of agents that the world asks at a time; more of them find colder caches, fewer leave processors idle.
 ASKED_PER_CPU = 3
 

@@ -19,7 +19,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.vehicle_events import vehicle_events
 
 WORST_VEHICLES, WORST_LINKS = 10, 5
-MOST_ROWS = 500  # of each kind in one answer, also when all are asked for
+MOST_ROWS = 500  # rows of a kind in one answer, also when all are asked for
 
 
 def vehicle_rows(

@@ -29,7 +29,7 @@ from netem.vehicle_clock import Clock
 from netem.wire.messages import WorldFault
 
 JUDGE_EVERY_S = 0.5  # at most, whoever asks
-JUDGE_SHARE = 0.01  # of the console's time
+JUDGE_SHARE = 0.01  # share of the console's time
 MOST_SPEED = 1e6  # times real time; more than any machine makes, and finite
 
 

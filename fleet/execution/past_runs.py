@@ -122,7 +122,7 @@ def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
 
 def _read(path: Path, began: datetime) -> PastRun:
     name = RUN_NAME.fullmatch(path.name)
-    assert name is not None  # it is one of ours
+    assert name is not None  # only directories with such a name get here
     verdict, sim_s = BROKE, None
     if in_use(path):
         verdict = LIVE

@@ -26,7 +26,7 @@ class Closing:
 
     entered: dict[Link, tuple[int, int]] = field(default_factory=dict)  # packets sent on each link, and duplicates
     rejected: dict[str, int] = field(default_factory=dict)  # by key, messages that were refused
-    timing: dict[str, Any] = field(default_factory=dict)  # of a realtime run: who was how late
+    timing: dict[str, Any] = field(default_factory=dict)  # who was how late in a realtime run
 
 
 class Runner(Protocol):

@@ -63,7 +63,7 @@ class State(NamedTuple):
     tick: int  # the next one
     t: float  # when that begins [s]
     vehicles: dict[int, VehicleState]
-    faults: tuple[str, ...]  # ids of those that are active
+    faults: tuple[str, ...]  # ids of the active ones
 
     def _repr_html_(self) -> str:
         rows = [
@@ -191,7 +191,7 @@ class Run:
         tick_s, dead, vehicles = scenario.tick_ns / 1e9, self._runner.without_agent(), {}
         for i in world.ids:
             eta, nu = world.state(i)
-            t = world.tick(i) * tick_s  # of an agent that answers later it is the tick before
+            t = world.tick(i) * tick_s  # an agent that answers later is still at the tick before
             place = plus(scenario.reference.at(t).position, scenario.plans[i - 1].at(t).position)
             vehicles[i] = VehicleState(i, i not in dead, eta, nu, self._runner.told.get(i), dist(eta[:3], place))
         tick = min(map(world.tick, world.ids))

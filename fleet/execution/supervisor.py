@@ -79,11 +79,11 @@ class Supervisor:
         self.begun = False  # everyone was ready and the clock runs; before that no agent may end
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._lives = Lives(scenario.faults.absences)
-        self._incarnation = dict.fromkeys(self._vehicles, 0)  # of the agent that was started last
+        self._incarnation = dict.fromkeys(self._vehicles, 0)  # number of the life that was started last
         self.starting: dict[int, int] = {}  # vehicle -> tick of the agent that was started again and is not ready
         self._polled_s = 0.0
         self._ending: set[int] = set()  # vehicles whose agent, the one that was started last, was asked to end
-        self._gone: set[int] = set()  # and whose has ended
+        self._gone: set[int] = set()  # vehicles whose agent has ended
         self._restarts: dict[int, int] = {}  # vehicle -> how often because of on_death
         self.deaths: dict[int, list[str]] = {}  # vehicle -> how its agents died
 
@@ -175,7 +175,7 @@ class Supervisor:
         own = [*self._hosting.agents(exit_.role)]
         if not own:
             return False
-        if exit_.role != agent_role(own[0]):  # of a host; those that were started again are elsewhere
+        if exit_.role != agent_role(own[0]):  # a host ended; agents that were started again are elsewhere
             own = [i for i in own if not self._incarnation[i] and i not in self._gone]
         died = [i for i in own if i not in self._ending]
         if died and not self._survivable(exit_):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 MESSAGE = int(Opcode.MESSAGE)
 HEAD = Struct("<BQHIQQ")  # opcode, length of the rest, channel, sequence, log time, publish time
-STAMP_BYTES = HEAD.size - 9  # of these what counts in the length of the rest
+STAMP_BYTES = HEAD.size - 9  # bytes of the head that count in the length of the rest
 
 
 class Batch(NamedTuple):
@@ -20,7 +20,7 @@ class Batch(NamedTuple):
 
     at_ns: int  # log time and publish time
     sequence: int
-    channels: NDArray[np.uint16]  # of each message
+    channels: NDArray[np.uint16]  # channel of each message
     bounds: NDArray[np.int64]  # where in `records` each message begins, and behind them the end
     records: NDArray[np.uint8]
     digested: NDArray[np.uint8]  # what `fleet.logs.records` hashes for them

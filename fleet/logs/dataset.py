@@ -77,7 +77,7 @@ def tree(path: Path, topics: Iterable[Topic], run: Mapping[str, str], most: int)
         )
     try:
         return xr.DataTree.from_dict({topic.name: dataset(topic, columns(topic), run) for topic in chosen})
-    except ValueError as error:  # of another program's log: a topic within another one, with other times
+    except ValueError as error:  # a log of another program: a topic within another one, with other times
         raise FleetError(f"{path}: these topics do not fit in one tree; choose some by name: {error!s:.200}") from None
 
 

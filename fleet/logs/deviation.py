@@ -22,11 +22,11 @@ from fleet.logs.difference import Difference, _table, begin_ns, difference, side
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block
 
-MOST_WAITING_BYTES = 64 << 20  # of unmatched messages that are held, per log
+MOST_WAITING_BYTES = 64 << 20  # unmatched messages that are held, per log
 _STEP = 4096  # messages that are compared at once
 MOST_WAITING = 50_000  # messages of one log without their other half; beyond that the oldest count as missing
 _NUMBERS = re.compile(r"(?<=/)\d+(-\d+)?")
-Key = tuple[str, int, int]  # of a key more than one: faults of one tick
+Key = tuple[str, int, int]  # several messages may have one key: faults of one tick
 
 
 @dataclass(slots=True)
@@ -36,7 +36,7 @@ class Deviation:
     value: float
     at_ns: int
     unit: str
-    differing: int = 0  # messages in which it is not the same
+    differing: int = 0  # messages in which the field is not the same
 
 
 @dataclass(slots=True)
@@ -46,7 +46,7 @@ class LogComparison:
     begin_ns: int = 0  # what was before is not compared: one of the runs goes on from another and begins here
     first: Difference | None = None
     same: int = 0  # messages, bit for bit
-    paired: int = 0  # that are there in both, but differ
+    paired: int = 0  # messages that both logs have, with a difference
     signals: dict[str, Deviation] = field(default_factory=dict)  # topic.field -> numbers that differ
     others: Counter[str] = field(default_factory=Counter)  # topic.field -> differing texts, flags, bytes
     only_a: Counter[str] = field(default_factory=Counter)  # topic -> messages
@@ -113,7 +113,7 @@ class _Stream:
         self._block: Block | None = next(self._blocks, None)  # with it, what stands before the messages was read
         self._at = 0
         self._slow = 0  # messages that are still to be compared one by one
-        self._records: list[Record] = []  # of those, the next ones, in reverse
+        self._records: list[Record] = []  # the next messages to be compared, in reverse
         self._topics: dict[int, str] = {}
 
     def begin(self, at_ns: int) -> None:

@@ -14,7 +14,7 @@ from fleet.logs.decoder import Decoder, FieldValue
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import FROM, FROM_TICK, OLD_START, START
 
-_MOST_BYTES = 24  # of a payload, shown
+_MOST_BYTES = 24  # a longer payload is shown by its first bytes
 Plain = str | int | float | bool | None
 
 
@@ -85,7 +85,7 @@ def difference(number: int, a: Side, b: Side) -> Difference:
         alike = len(pairs) - len(apart)
         tail = [f"  ({alike} other field{'s' * (alike != 1)} the same)"] if alike else []
         words += "\n".join([*(f"  {line}" for line in _table(lines)), *tail])
-    else:  # the same values, written in another way
+    else:  # the values are equal, and their bytes differ
         words += f"  {a.name}: {_bytes(a.record.data)}\n  {b.name}: {_bytes(b.record.data)}"
     return Difference(number, _message(a), _message(b), fields, words)
 

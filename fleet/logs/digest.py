@@ -11,9 +11,9 @@ import numpy as np
 from fleet.logs.records import Block
 
 _TIMES = Struct("<QQII").pack
-_STAMP = np.dtype([("log", "<u8"), ("publish", "<u8"), ("sequence", "<u4"), ("length", "<u4")])  # the same, of many
-_MOST_PARTS = 3000  # of 1000 messages; hashing them in one piece costs less than one by one
-_MOST_BYTES = 64 * 1024  # of batches
+_STAMP = np.dtype([("log", "<u8"), ("publish", "<u8"), ("sequence", "<u4"), ("length", "<u4")])  # for many at once
+_MOST_PARTS = 3000  # the parts of 1000 messages: hashing them in one piece costs less than one by one
+_MOST_BYTES = 64 * 1024  # bytes of batches that are hashed in one piece
 
 
 class Digest:

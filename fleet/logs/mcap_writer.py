@@ -60,7 +60,7 @@ class McapWriter:
         self._entries = ChunkEntries()
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[bytes] = []  # their records in the summary
+        self._chunks: list[bytes] = []  # records of the chunks in the summary
         self._times: list[int] = []  # the earliest and the latest of each chunk
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
@@ -197,7 +197,7 @@ class MessageIndexes(NamedTuple):
     offsets: NDArray[np.void]  # channels, and where in `data` the index of each begins
     counts: list[tuple[int, int]]  # channels, and how many messages each has
     first_ns: int  # the earliest log time
-    last_ns: int  # and the latest
+    last_ns: int  # the latest log time
 
     def chunk_index(self, place: int, length: int, compressed: int, uncompressed: int) -> bytes:
         """The record in the file's summary of a chunk that begins at `place` and has `length` bytes, with the lengths
@@ -247,7 +247,7 @@ class ChunkEntries:
         counts = np.diff(begins, append=len(order))
         sizes = _INDEX_HEAD.itemsize + _ENTRY.itemsize * counts
         by_first = places[begins].argsort()
-        offsets = np.empty(len(begins), np.int64)  # of the record of each channel
+        offsets = np.empty(len(begins), np.int64)  # place of the record of each channel
         offsets[by_first] = np.cumsum(sizes[by_first]) - sizes[by_first]
 
         heads = np.empty(len(begins), _INDEX_HEAD)

@@ -144,7 +144,7 @@ class Log:
         """When its run began [s]: later than 0 if it went on from another one."""
         try:
             begin = int(self.run.get(FROM_TICK, "0")) * int(self.run["tick_ns"]) / 1e9
-        except (KeyError, ValueError, OverflowError):  # of another program, which says what it likes
+        except (KeyError, ValueError, OverflowError):  # another program may have written anything there
             return 0.0
         return begin if 0.0 <= begin < self.end else 0.0
 
@@ -307,7 +307,7 @@ class Opening:
     """How a log is read: once, and topics again if they could not all be held."""
 
     path: Path  # as `log_path` takes it
-    topics: Iterable[str] | None = None  # patterns of those to keep; None: all
+    topics: Iterable[str] | None = None  # patterns of topics to keep; None: all
     share: OnProgress = lambda _: None  # called with the share of the file that was read
     exclude: Sequence[str] = ()  # patterns of topics not to keep
     progress: Callable[[float], None] = lambda _: None  # called with the simulated time reached [s]
@@ -322,7 +322,7 @@ class Opening:
         self.path = log_path(self.path)
         self.topics = [self.topics] if isinstance(self.topics, str) else self.topics and list(self.topics)
         self._topics: dict[str, Topic | None] = {}
-        self._held: list[Topic] = []  # those that were fetched, the oldest first
+        self._held: list[Topic] = []  # topics that were fetched, the oldest first
         self._seen: Counter[str] = Counter()
 
     def read(self) -> Log:
@@ -334,7 +334,7 @@ class Opening:
             if total is not None:
                 total.add_block(block, reader.topics_of(block))
             if plain and self.topics is None and log_size(self.path) > self.most_held:
-                self.hold_all = False  # it would be given up later
+                self.hold_all = False  # what is held now would be given up later
             take = self._count if plain and not self.hold_all else self._take
             take(reader, block)
             self.progress(int(block.log_ns[-1]) / 1e9)
@@ -379,7 +379,7 @@ class Opening:
         if any(fnmatchcase(name, pattern) for pattern in self.exclude):
             return None
         channel = reader.channel(name)
-        assert channel is not None  # the name is that of one
+        assert channel is not None  # the name is from the list of channels
         return Topic(name, channel, reader.schemas.get(channel.schema_id), self._fetch, self.most_held)
 
     def _of(self, reader: LogReader, block: Block) -> Iterator[tuple[str, Block]]:

@@ -68,8 +68,8 @@ class LogReader:
     missing: str = ""  # why the file is not complete; "" if it is complete
     cut: bool = False  # the file is truncated: it stops within a record, or before its end was written
     damage: list[Damage] = field(default_factory=list)
-    file: Path = Path()  # that is being read, of a log of several
-    numbers: dict[Path, dict[int, int]] = field(default_factory=dict)  # of channels, by theirs in each file
+    file: Path = Path()  # the file that is being read, if the log has several
+    numbers: dict[Path, dict[int, int]] = field(default_factory=dict)  # of channels, by their numbers in a file
     _known: dict[tuple[Any, ...], int] = field(default_factory=dict, init=False)  # numbers of what was declared
     _kept: dict[tuple[type, int | str], int] = field(default_factory=dict, init=False)  # size of each [bytes]
     _total: int = field(default=0, init=False)  # sum of these sizes [bytes]

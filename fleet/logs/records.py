@@ -27,7 +27,7 @@ HEAD = Struct("<BQ")
 CHUNK = Struct("<QQQI")  # first and last time [ns], unpacked size, CRC
 MESSAGE = Struct("<HIQQ")
 U32, U64 = Struct("<I"), Struct("<Q")
-_LENGTH = Struct("<xQ")  # of a record, behind its opcode
+_LENGTH = Struct("<xQ")  # the length of a record stands behind its opcode
 _RECORD = np.dtype([
     ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
     ("publish_ns", "<u8"),
@@ -52,13 +52,13 @@ class Message(NamedTuple):
 class Block:
     """Messages that follow on one another in one chunk, or outside chunks, as arrays; times in ns."""
 
-    offset: int  # of the chunk, or of the first message outside chunks [byte of the file]
+    offset: int  # place of the chunk, or of the first message outside chunks [byte of the file]
     data: bytes  # in which they stand
     channel: Array
     sequence: Array
     log_ns: Array
     publish_ns: Array
-    begin: Array  # of each payload in `data`
+    begin: Array  # where each payload begins in `data`
     end: Array
 
     def __len__(self) -> int:

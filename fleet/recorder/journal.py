@@ -67,7 +67,7 @@ class Journal:
         self.ages = Ages(scenario.graph.links, from_first_packet=bool(scenario.nodes))
         self.separation = Separation.asked(scenario)
         self.connectivity = Connectivity.asked(scenario)
-        self.happened: list[Event] = []  # those of the events that are written
+        self.happened: list[Event] = []  # events that are written already
         self.begin = 0  # the tick at which the run begins; another one if it goes on from another run
         self.written = -1  # complete in the log up to this tick
         self.framed = -1
@@ -82,14 +82,14 @@ class Journal:
         self.active: list[str] = []  # faults that last, in the order in which they began
         self._names = {event.fault for event in self._events}  # ids of faults that are taken
         self.deaths: dict[int, Event] = {}  # vehicle -> a death that was not planned, while it lasts
-        self.died: list[Event] = []  # all of them, and vehicles that diverged, in the order in which they came
+        self.died: list[Event] = []  # deaths that were not planned and divergences, as they came
         self.diverged: dict[int, Event] = {}  # vehicle -> that its motion left the finite numbers
         self.tumbled: dict[int, Event] = {}  # vehicle -> that it tumbled, while it lasts
-        self.tumbles: list[Spell] = []  # all of them, in the order in which they began
+        self.tumbles: list[Spell] = []  # every tumble, in the order of their beginnings
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
         self._frames: deque[Frame] = deque()
-        self._parts: list[Frame] = []  # of a frame whose rest is still to come
+        self._parts: list[Frame] = []  # parts of a frame whose rest is still to come
         self._fates: deque[Fate] = deque()
 
     def take_over(

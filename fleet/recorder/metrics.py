@@ -35,7 +35,7 @@ class Settled(NamedTuple):
     """When an error settled within a span of time, and what is reported if it did not."""
 
     at_s: float | None  # None: it did not, or too late to be judged
-    vehicle: int  # the last to settle, or of those that did not the farthest off; 0: the span has no frame
+    vehicle: int  # the last to settle, else the farthest off that did not; 0: the span has no frame
     off_m: float  # that vehicle's error in the last frame of the span
     least_s: float  # how long it had to stay
 
@@ -95,7 +95,7 @@ class Metrics:
         self._protocols = {i: AgentProtocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
         # Who reported before the last round and the last frames reports no more.
         self._silent_ticks = max(scenario.round_ticks, frame_every(scenario))
-        self._tick = 0  # of the last frame
+        self._tick = 0  # tick of the last frame
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
         self._vehicles = {
@@ -283,7 +283,7 @@ class AgentProtocol(NamedTuple):
     """The whole agent of one vehicle, and what it reports; without a name it has the laws of a controller instead."""
 
     law: str
-    signals: tuple[_Reported, ...]  # those that a check of the scenario names come first
+    signals: tuple[_Reported, ...]  # signals that a check of the scenario names come first
 
     @classmethod
     def of(cls, scenario: Scenario, vehicle: int) -> AgentProtocol:

@@ -12,8 +12,8 @@ from math import tau
 
 from world.config import Harmonic
 
-PERIODS = 2.0  # of the slowest harmonic of the disturbance: one would do if nothing else were going on
-SHARE = 0.1  # of the time that is judged, whatever the disturbance is ...
+PERIODS = 2.0  # periods of the slowest harmonic of the disturbance; one would do if nothing else were going on
+SHARE = 0.1  # share of the time that is judged, whatever the disturbance is ...
 MOST_S = 10.0  # ... but no more than this
 
 

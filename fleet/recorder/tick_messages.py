@@ -96,7 +96,7 @@ class _Slot(NamedTuple):
     behind: int  # where that begins
     believed: int  # where its belief begins; 0: it knows where it is
     located: int  # where its position by ranges begins; 0: it uses none
-    kind: int  # what it reports: a number among those that differ
+    kind: int  # number of its kind of report
 
 
 class _Kind(NamedTuple):
@@ -104,7 +104,7 @@ class _Kind(NamedTuple):
 
     agent: SignalLayout
     plant: tuple[Signal, ...] | None  # None: they have none
-    navigates: bool  # they do not know where they are
+    navigates: bool  # the vehicles do not know where they are
 
 
 class TickMessages:
@@ -122,7 +122,7 @@ class TickMessages:
         """
         self._topics = topics
         kinds = {i: _Kind(agent, plants.get(i), i in navigating) for i, agent in agents.items()}
-        self._kinds = list(dict.fromkeys(kinds.values()))  # those that differ
+        self._kinds = list(dict.fromkeys(kinds.values()))  # each kind of report once
         number = {kind: k for k, kind in enumerate(self._kinds)}
         self._slots: dict[int, _Slot] = {}
         place = _NUMBERS
@@ -144,8 +144,8 @@ class TickMessages:
             )
             place = located + 8 * (LOCATED_SIZE if ranged else 0)
         self._pool = bytearray(place)
-        self._constants: dict[bytes, int] = {}  # their places
-        self._size, self._added = place, list[bytes]()  # of the pool with what is still to be put at its end
+        self._constants: dict[bytes, int] = {}  # places of the constants in the pool
+        self._size, self._added = place, list[bytes]()  # size of the pool with what is still to be put at its end
         self._encoded: dict[tuple[str, int, int], NDArray[np.int64]] = {}
         self._messages: dict[tuple[str, int, int], tuple[_Places, _Places]] = {}
         self._layouts: dict[tuple[Any, ...], _Layout] = {}

@@ -67,7 +67,7 @@ from world.signal import Signal
 
 # The message of a packet, encoded by hand: a run has as many as its links carry, and protobuf's object costs 3 us.
 _double = Struct("<Bd").pack  # tag, value
-_RANGE_TAGS = range(0x49, 0x70, 8)  # of five doubles, fields 9 to 13
+_RANGE_TAGS = range(0x49, 0x70, 8)  # five doubles, fields 9 to 13
 _FATES = {cause: b"\x32" + varint(len(cause)) + cause.encode() for cause in Cause}
 
 

@@ -70,7 +70,7 @@ class _RecordedCore:
         if tau is None:
             if tick < agent.last:
                 raise NotRecordedError(f"the log holds no command of vehicle {agent.vehicle} at tick {tick}")
-            tau = ZERO  # of a log that ends within this tick: nothing that follows is compared
+            tau = ZERO  # the log ends within this tick, so nothing that follows is compared
         return Decision(tau, tuple(agent.telemetry.get(tick, ())))
 
     def take_notes(self) -> list[tuple[int, str]]:
@@ -106,7 +106,7 @@ class _Reading:
         self._scenario, self._tick_ns, m = scenario, scenario.tick_ns, scenario.round_ticks
         self.agents = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // self._tick_ns) for i in scenario.external}
         self.packets: dict[int, dict[int, tuple[int, bytes]]] = {i: {} for i in self.agents}  # by vehicle and seq
-        self._sure: set[tuple[int, int]] = set()  # those of which an undamaged copy was seen
+        self._sure: set[tuple[int, int]] = set()  # payloads of which an undamaged copy was seen
         self._decode, self._command = Decoder(reader).ours, Doubles(COMMAND)
         self._groups = {
             (i, group): (Doubles(signal_columns(getattr(agent.layout, group))), agent.layout.group(group))
@@ -130,7 +130,7 @@ class _Reading:
 
     def _sample(self, i: int, group: str, tick: int, data: bytes) -> None:
         if i in self.agents and group == "command":
-            tau1, tau2, tau3, *_ = self._command.decode(data)  # those that were applied follow
+            tau1, tau2, tau3, *_ = self._command.decode(data)  # the applied force and moments follow
             self.agents[i].commands[tick] = tau1, tau2, tau3
         elif (i, group) in self._groups:
             encoder, place = self._groups[i, group]

@@ -41,7 +41,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.trust import Policy, ran_from
 
-_VERSIONS = ("uuv-fleet", "python", "piqp")  # that may change a bit without anybody's mistake
+_VERSIONS = ("uuv-fleet", "python", "piqp")  # other versions may change a bit without a mistake
 
 
 class Verification(Struct):
@@ -185,7 +185,7 @@ class _Comparison:
         self._again = LogReader(verification.path)
         self._recorded: Iterator[Record] = iter(self._again)
         self._gaps = deque(_gaps(reader))
-        self._number = -1  # of the recorded message at hand
+        self._number = -1  # number of the recorded message at hand
         self._expected = self._next()
         self._topics: list[str] = []
         self._reported_ns = 0

@@ -25,7 +25,7 @@ from fleet.processes.side_process import begin, end, line_of, pipe
 from fleet.replay.observed import new_observed, write_observed
 
 ENTRY = Struct("<HIQQQII")  # channel, sequence, log and publish time, places in log and topic, bytes that follow
-LENGTH = Struct("<I")  # of a batch
+LENGTH = Struct("<I")  # length of a batch
 PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
 BATCH_BYTES = 1 << 16
 READY_S = 20.0
@@ -53,7 +53,7 @@ class LivePublisher:
         self._size = 0
         self._number = 0
         self._places: dict[int, int] = {}  # how many messages there were, by channel
-        self._rest = b""  # of a batch that is partly written
+        self._rest = b""  # the rest of a batch that is partly written
         self._gone = False
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -158,7 +158,7 @@ class LivePublisher:
         if process is None:
             return
         deadline = time.monotonic() + DRAIN_S
-        self._write_all(deadline)  # else there would be no room for what comes last
+        self._write_all(deadline)  # otherwise there would be no room for what comes last
         self.flush()
         self._write_all(deadline)
         with contextlib.suppress(OSError):

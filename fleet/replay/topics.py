@@ -50,7 +50,7 @@ def unpack(data: bytes) -> Stamp:
 class PublishedTopic(NamedTuple):
     """The schema of a published topic; its messages are protobuf."""
 
-    schema: str  # its name
+    schema: str  # name of the schema
     descriptor_set: bytes  # google.protobuf.FileDescriptorSet
     units: str  # JSON: field -> [unit, meaning]; empty: not known
 

@@ -67,16 +67,16 @@ class Scenario:
         self.plans = parts.plans  # p_i(t) [m, NED]
         self.graph, self.b = parts.graph, parts.graph.b
         self.initial = parts.initial  # (eta0, nu0) of each vehicle
-        self.conditions = parts.conditions  # of every link that is not perfect at the start
+        self.conditions = parts.conditions  # every link that is not perfect at the start
         self.radios = parts.radios  # rate and limit of all that a vehicle sends
         self.changing = parts.changing  # what the others do whose condition changes by itself
         self.selectors = parts.written  # the last entry of network.links that names each link
         self.controls = parts.controls  # what each vehicle is and runs
         self.external = tuple(i for i, its in enumerate(self.controls, 1) if its.external)  # agents that others start
         self.faults = parts.faults
-        self.other_laws = _others(parts.controls)  # kind and law of those that are not built in, each name once
+        self.other_laws = _others(parts.controls)  # kind and name of laws that are not built in, each name once
         self.acoustic = parts.acoustic  # None: the network is not acoustic
-        self.clocks = parts.clocks  # of the vehicles for which one is set
+        self.clocks = parts.clocks  # only vehicles for which a clock is set
         # The periodic forces on every vehicle; empty: none.
         self.disturbance = disturbance.PAPER if spec.sea.disturbance == "paper" else ()
         self.exact_gains = False  # whether agents leave PIQP out: the same gains in less time, if set before the run

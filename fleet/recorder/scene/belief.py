@@ -32,7 +32,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
 from world.vectors import Vec3
 
-CORNERS = 36  # of the polygon that is drawn for an ellipse
+CORNERS = 36  # an ellipse is drawn as a polygon
 _ROUND = [(cos(2.0 * pi * k / CORNERS), sin(2.0 * pi * k / CORNERS)) for k in range(CORNERS)]
 _MOST_M = 1e6  # a larger ellipse would be no picture
 
@@ -41,7 +41,7 @@ class PlaceBelief(NamedTuple):
     """A vehicle's belief about its place."""
 
     off: Vec3  # believed minus true position, NED [m]
-    covariance: Sequence[float]  # of north and east: nn, ne, ee [m^2]; empty or NaN: it does not know
+    covariance: Sequence[float]  # north and east: nn, ne, ee [m^2]; empty or NaN: not known
 
     @classmethod
     def by_navigator(cls, off: Sequence[float], covariance: Sequence[float]) -> PlaceBelief:

@@ -26,7 +26,7 @@ class LinkState(StrEnum):
     CUT = "cut"  # the last packet was lost since the link was cut, or five in a row were lost
     STALE = "stale"  # nothing has arrived for long
     LOSING = "losing"  # one of the last ten was lost
-    LATE = "late"  # most of them arrived after the next one had been sent
+    LATE = "late"  # most packets arrived after the next packet had been sent
     DELIVERING = "delivering"
     SILENT = "silent"  # no packet yet
 

@@ -43,7 +43,7 @@ SCENE_UNITS = {
     "entities": ["m", "lengths and positions in each entity's frame; thickness and font_size in pixels"],
 }
 
-_ARMS = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))  # of a cross [m]
+_ARMS = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))  # ends of the arms of a cross [m]
 UNHEARD_NS = 500_000_000  # after so long without a command an agent counts as absent
 
 
@@ -82,7 +82,7 @@ class Scene:
         }
         self._navigating = frozenset(self._model.navigating)
         self._locating = frozenset(i for i in self._navigating if locates(scenario.layout(i)))
-        self._telemetry: dict[int, Sequence[float]] = {}  # of those that locate themselves, at the tick of `see`
+        self._telemetry: dict[int, Sequence[float]] = {}  # of vehicles that locate themselves, now
         self._beliefs: dict[tuple[int, int], Template] = {}  # by vehicle and number of coordinates
         self._names = {
             (src, dst): SceneEntity(frame_id=REFERENCE, id=f"link {src}-{dst}", frame_locked=True).SerializeToString()
@@ -90,7 +90,7 @@ class Scene:
         }
         self._lines = {state: Template(partial(_line, state), 6) for state in FOXGLOVE.links}
         self._offsets: list[Vec3] = []  # where the vehicles should be in the message before
-        self._formation = b""  # and how that is drawn
+        self._formation = b""  # the formation as it is drawn
 
     def see(self, frame: Frame, commands: Mapping[int, Command]) -> None:
         """Note a tick, and the commands of the vehicles, of which the end tick has none. On a wall clock an agent may

@@ -36,8 +36,8 @@ WATER = 1025.0  # kg/m^3, sea water: a submerged vehicle weighs what it displace
 SLENDER = 7.0  # length over diameter, as of the small torpedo-shaped vehicles
 COURSE_POINTS = 400
 MANY, CROWD = 12, 24  # vehicles, from which on there is less room for each
-WORST = 5  # of a crowd, that have their numbers: those that are farthest off their places
-TRAIL_S = 30.0  # that the way of a vehicle is shown
+WORST = 5  # in a crowd only the vehicles farthest off their places have their numbers
+TRAIL_S = 30.0  # length of the way that is shown of a vehicle
 # A packet is drawn slower than it was where the eye could not follow [s of the renderer].
 LEAST_FLIGHT_S, MOST_FLIGHT_S = 0.45, 3.0
 NO_BELIEFS: Mapping[int, PlaceBelief] = MappingProxyType({})
@@ -61,7 +61,7 @@ class SceneModel:
         self.links = scenario.graph.links
         known = frozenset(self.links)
         self.both_ways = frozenset((src, dst) for src, dst in known if (dst, src) in known)
-        self.diameters = [diameter(control.vehicle.m) for control in scenario.controls]  # of the hulls [m]
+        self.diameters = [diameter(control.vehicle.m) for control in scenario.controls]  # diameters of the hulls [m]
         self.navigating = [i for i in range(1, scenario.vehicles + 1) if scenario.belief(i)]
         self.changes = bool(self.navigating) or any(plan.changes for plan in scenario.plans)  # whether `moving` does
 

@@ -32,9 +32,9 @@ class Stroke(NamedTuple):
 class Theme(NamedTuple):
     """The colours and lines of one kind of renderer."""
 
-    vehicles: tuple[str, ...]  # which repeat
+    vehicles: tuple[str, ...]  # colours of vehicles, which repeat
     links: Mapping[LinkState, Stroke]
-    colours: Mapping[str, str]  # of all other colour words
+    colours: Mapping[str, str]  # colours of all other colour words
 
     def colour(self, word: str) -> str:
         kind, _, number = word.partition(" ")

@@ -16,4 +16,4 @@ _OURS = (*OF_LINKS, *OF_AGENTS, *OF_SENSORS, *OF_MOTION)
 KINDS: Mapping[str, FaultKind] = MappingProxyType(
     {kind.name: kind for kind in (*parts("fault_kinds"), *_OURS)}  # the last of a name holds: none replaces ours
 )
-OF_ROBOTS = tuple(name for name, kind in KINDS.items() if kind.acts_on == "network")  # that are not ours, too
+OF_ROBOTS = tuple(name for name, kind in KINDS.items() if kind.acts_on == "network")  # robots of others too

@@ -26,7 +26,7 @@ from netem.grammar import parse_selector, select
 from netem.parsing import nearest
 from world.errors import PluginError
 
-Path = tuple[str | int, ...]  # of a key
+Path = tuple[str | int, ...]  # path of a key
 
 
 def checks(parts: Parts, report: Report) -> None:

@@ -48,7 +48,7 @@ def rolls(parts: Parts, report: Report) -> None:
             report.add(("initial", index, key), message, hint, key=True)
 
 
-_BLEND_SAMPLES = 40  # of a change of the formation
+_BLEND_SAMPLES = 40  # times at which a change of the formation is looked at
 
 
 def per_vehicle(parts: Parts, report: Report) -> None:

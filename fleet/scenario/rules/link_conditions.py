@@ -14,7 +14,7 @@ from fleet.scenario.sections.trace_table import TraceTable
 from netem.parsing import nearest
 
 MOST_STATES = 16
-MOST_CHARACTERS = 900_000  # of all traces together as the merged scenario holds them, which has 1,000,000 at most
+MOST_CHARACTERS = 900_000  # all traces together; a merged scenario has 1,000,000 at most
 _FORMS = ("condition", "states", "trace")
 _OF_TRACES = ("by", "start", "loop", "offset", "time_scale", "lost_below")
 

@@ -113,7 +113,7 @@ def _ports(parts: Parts, report: Report) -> None:
 
 
 def _keys(parts: Parts, report: Report) -> None:
-    from netem.wire.robots import check_key  # and with it zenoh
+    from netem.wire.robots import check_key  # here, because it imports zenoh
 
     for number, key in enumerate(parts.spec.carry or ()):
         if wrong := check_key(key):

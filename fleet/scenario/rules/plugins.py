@@ -34,7 +34,7 @@ def plugin(
     except UntrustedError as error:
         report.refuse(at, f"{name}: {error.problem}", error.hint)
     except PluginError as error:
-        if not typed and report.policy.of_a_log:  # of somebody whose modules are not here
+        if not typed and report.policy.of_a_log:  # the log is from elsewhere, and its modules are not here
             report.refuse(at, f"{name}: {error.problem}", error.hint)
         elif name not in shipped and ":" not in name and "does not load" not in error.problem:
             close = nearest(name, shipped) if shipped else ""

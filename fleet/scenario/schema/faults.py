@@ -78,13 +78,13 @@ class WhenSection(Section):
     """
 
     topic: str  # topic group, dot, field: control.leads
-    vehicles: v.VehicleNumbers | None = None  # whose reports count; all
+    vehicles: v.VehicleNumbers | None = None  # the vehicles whose reports count; default: all
     above: Quantity | None = None
     below: Quantity | None = None
     equals: Quantity | None = None
     changes: OnlyTrue = None
     after: v.Time = 0  # earlier samples do not count
-    before: v.Period | None = None  # nor those from then on; to the end
+    before: v.Period | None = None  # samples from then on do not count; default: the end
 
 
 class TriggerSection(Section):
@@ -92,7 +92,7 @@ class TriggerSection(Section):
 
     id: FaultId | None = None  # t1, t2, ...
     when: WhenSection
-    nth: Annotated[int, Field(ge=1)] = 1  # which of these moments, in the order of time and vehicles
+    nth: Annotated[int, Field(ge=1)] = 1  # the number of the moment, in the order of time and vehicles
     wait: v.Period | None = None  # from the moment on; a round, which is also the least
     for_: Annotated[v.Period | None, Field(alias="for")] = None  # to the end
     fault: dict[str, Any]  # as in `faults`; itself, others and neighbours stand for numbers

@@ -14,7 +14,7 @@ from netem.parsing import nearest
 
 # What a condition of links may become; each is a kind of its own for a nemesis.
 CONDITIONS = ("loss", "delay", "rate")
-OF_TARGET = tuple(name for name, kind in KINDS.items() if kind.drawn == "target")  # and nothing else is drawn
+OF_TARGET = tuple(name for name, kind in KINDS.items() if kind.drawn == "target")  # the seed draws only their target
 WORDS = (*OF_TARGET, *CONDITIONS, *(name for name, kind in KINDS.items() if kind.drawn == "strength"))
 Aim = Literal["any", "leader", "hub", "bridge", "speaker"]
 
@@ -49,7 +49,7 @@ class NemesisSection(Section):
     every: v.Period | None = None  # without mode
     for_: Annotated[v.Period | None, Field(alias="for")] = None  # without mode
     pick: Picks | None = None  # with a mode: all kinds that fit the scenario
-    start: v.Time | None = None  # of the first; `every`, and 0 s with a mode
+    start: v.Time | None = None  # the first fault begins; default: `every`, and 0 s with a mode
     until: v.Period | None = None  # when the last has ended; the end of the run, three quarters of it in a swarm
     mode: Literal["swarm", "episodes", "liveness"] | None = None
     most_silent: Annotated[int, Field(ge=1)] | None = None  # vehicles killed, suspended or mute at once; any number

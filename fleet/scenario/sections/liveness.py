@@ -19,7 +19,7 @@ from fleet.scenario.sections.graph import beside
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.draws import bits, uniform
 
-PURPOSE = "nemesis liveness"  # of the draws
+PURPOSE = "nemesis liveness"
 _NETWORK = ("kill", "mute", "deaf", "partition")
 _IDEAL = ("off",)
 _CORE, _BREAKS, _WHEN = range(3)  # what is drawn

@@ -52,7 +52,7 @@ _IN_PLACE = {"airtime": ("bit_rate", "preamble"), "delivery": ("lost_below", "cl
 _LEFT_OUT: dict[str, float] = {"processing": 0.0, "tries": 0, "timeout": 0.0, "acknowledgement": 0}
 WHOLE = ("mtu", "tries", "acknowledgement")
 _OF = {"mtu": " of bytes", "acknowledgement": " of bytes"}
-Values = dict[str, Any]  # of a modem: numbers, and curves or None
+Values = dict[str, Any]  # what a modem file says: numbers, and curves or None
 
 
 def shipped_modems() -> list[str]:

@@ -23,7 +23,7 @@ from netem.condition import Link
 from netem.draws import bits
 from netem.grammar import Selector
 
-PURPOSE = "nemesis"  # of the draws
+PURPOSE = "nemesis"
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 

@@ -26,7 +26,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.graph import beside
 from netem.condition import Condition, Link
 
-Pair = tuple[int, int]  # of vehicles that share a link in either direction, the lower number first
+Pair = tuple[int, int]  # two vehicles that share a link in either direction, the lower number first
 
 
 class NemesisTargets(NamedTuple):
@@ -37,7 +37,7 @@ class NemesisTargets(NamedTuple):
     conditions: dict[Link, Condition]  # the links' own, where one is written and does not change
     clocks: tuple[int, ...] = ()  # vehicles whose clock is set
     navigators: tuple[int, ...] = ()  # vehicles with dead reckoning
-    fixed: tuple[int, ...] = ()  # those of them that get fixes
+    fixed: tuple[int, ...] = ()  # navigators that get fixes
 
     @property
     def round_ns(self) -> int:
@@ -71,7 +71,7 @@ def instruments(choice: VehicleOverrides) -> tuple[bool, bool, bool]:
     return choice.agent is not None and choice.agent.clock is not None, reckons, fixes
 
 
-MOST_PAIRS = 20_000  # of a graph in which bridges are looked for
+MOST_PAIRS = 20_000  # bridges are looked for in a graph with no more pairs
 
 
 def leader(ground: NemesisTargets) -> int:

@@ -60,7 +60,7 @@ class Control:
     tumble_limit: float  # |pitch| beyond which it tumbles [rad]
     external: bool  # the run does not start its agent
     knows_reference: bool  # also if it does not follow it
-    keep_apart: KeepApartParams | None  # of all vehicles
+    keep_apart: KeepApartParams | None  # one filter holds for all vehicles
     navigation: Navigation | None  # None: it knows where it is
     localization: LocalizationParams | None  # None: it uses no ranges
 
@@ -99,7 +99,7 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
             # What was written, not what has a default: a vehicle's own timeout leaves its extrapolation alone.
             written = {name: value for name, value in given(high).items() if name in high.model_fields_set}
             if "law" in written:
-                written.setdefault("parameters", None)  # those below belong to the law below
+                written.setdefault("parameters", None)  # parameters of a section below belong to the law there
             values[key] = low.model_copy(update=written)
     # A controller chosen here replaces the agent and the laws that were chosen below it.
     if above.controller is not None:

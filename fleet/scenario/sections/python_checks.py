@@ -9,7 +9,7 @@ from fleet.scenario.schema.checks import SOMETIMES
 from world.plugins.checks import check_class
 from world.plugins.loading import load_class
 
-NAME = "name"  # of the verdict; it and `sometimes` are the keys beside the parameters of the class
+NAME = "name"  # name of the verdict; only this key and `sometimes` are no parameters of the class
 
 
 def parameters_of(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -68,7 +68,7 @@ class AskedOfSignal:
     unit: str  # "1": it has none
     vehicles: tuple[int, ...]
     condition: SignalCondition
-    negated: bool  # True: the samples count that meet the condition; False: those that do not
+    negated: bool  # True: samples that meet the condition count; False: samples that do not
     within_ns: int | None  # a liveness property must begin to hold within this time; None: it is a safety property
     least_ns: (
         int  # a safety property breaks if such samples last so long; 0: by one. A liveness property must hold so long
@@ -246,7 +246,7 @@ def _when(check: SignalCheck, condition: SignalCondition) -> str:
     return " ".join(words) + (f", vehicles {check.vehicles}" if check.vehicles else "")
 
 
-_HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")  # of their own, everywhere
+_HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")  # every report draws these two anyway
 
 
 def checked_signals(checks: ChecksSection, looked_at: Iterable[str] = ()) -> list[SignalName]:

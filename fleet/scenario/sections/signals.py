@@ -32,7 +32,7 @@ STATE = tuple(
         ("q", "rad/s", "pitch rate"), ("r", "rad/s", "yaw rate"),
     )
 )  # fmt: skip
-ROLL = (Signal("phi", "rad", "roll"), Signal("p", "rad/s", "roll rate"))  # behind those of STATE, of a vehicle with it
+ROLL = (Signal("phi", "rad", "roll"), Signal("p", "rad/s", "roll rate"))  # a vehicle that rolls has them behind STATE
 COMMAND = (
     Signal("tau", "N, N m, N m", "surge force, pitch and yaw moment as the agent commanded them", 3),
     Signal("applied", "N, N m, N m", "the same as the actuators applied them over the following tick", 3),
@@ -61,7 +61,7 @@ LOCATED = (
     Signal("off_norm", "m", "its Euclidean norm"),
     Signal("nees", "1", "its normalised square; of a consistent estimate chi-square with 2 degrees of freedom"),
 )
-CLOCK = (Signal("error", "s", "by how much its clock is ahead of simulated time"),)  # of a vehicle whose clock is set
+CLOCK = (Signal("error", "s", "by how much its clock is ahead of simulated time"),)  # only if the clock is set
 _ALWAYS = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
 OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehicle declare
 OF_THE_PLANT = "plant"  # the group whose signals the plant of a vehicle declares
@@ -156,7 +156,7 @@ class VehicleSignals(NamedTuple):
 
     layout: SignalLayout | None = None  # what its agent reports; None: that is not known
     plant: tuple[Signal, ...] | None = None  # what its plant reports; None: it has none
-    has_clock: bool = False  # its clock is set
+    has_clock: bool = False  # whether the clock of the vehicle is set
     belief: BeliefKind = BeliefKind.NONE  # what it believes of its place
 
     def groups(self) -> dict[str, tuple[int, tuple[Signal, ...]]]:

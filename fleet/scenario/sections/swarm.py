@@ -42,7 +42,7 @@ from netem.condition import Condition
 from netem.draws import bits, uniform
 from netem.grammar import Selector, print_condition, select
 
-PURPOSE = "nemesis swarm"  # of the draws
+PURPOSE = "nemesis swarm"
 MOST = 5000  # faults that are drawn
 MOST_CONDITIONS = 16  # links that keep their own condition below a fault; of more links it has one for all
 _MOST_HELD_NS = 5_000_000_000
@@ -55,7 +55,7 @@ class DrawnFault(NamedTuple):
     """A fault before it has a target."""
 
     number: int  # from 1; what is drawn of its target goes by it
-    pick: NemesisPick  # its kind, or the fault as the scenario gives it
+    pick: NemesisPick  # the kind of the fault, or the fault as the scenario gives it
     at: int  # ns
     lasts: int  # ns
     aim: Aim = "any"

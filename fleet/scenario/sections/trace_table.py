@@ -27,7 +27,7 @@ from netem.limits import TRACE
 from netem.parsing import LONGEST_NUMBER, NUMBER, nearest, quoted
 
 _MOST_PROBLEMS = 5
-_MOST_COLUMNS = 20  # of which each is looked at
+_MOST_COLUMNS = 20  # every column costs a look at each row
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 _UNITS = {"time": q.TIME, "delivered": q.NUMBER, "delay": q.TIME, "rate": q.BIT_RATE, "snr": q.LEVEL}
 _PRINTED = {"time": "s", "delivered": "", "delay": "ms", "rate": "bit/s", "snr": "dB"}

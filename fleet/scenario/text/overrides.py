@@ -73,7 +73,7 @@ def apply(root: Mapping, overrides: Sequence[str | Override]) -> tuple[Mapping, 
     Those of `--set` are applied first; of each kind the later ones over the earlier.
     """
     problems: list[Problem] = []
-    changes: list[Change] = []  # of --set
+    changes: list[Change] = []  # changes that --set asks for
     words: list[Change] = []
     for rank, override in enumerate(map(Override.of, overrides), start=1):
         source = Source(override.name, override.text, rank)
@@ -116,7 +116,7 @@ def _steps(path: str, source: Source) -> list[Step]:
 def _with_value(steps: list[Step], value: Node, root: Mapping) -> Mapping:
     named = root.entries.get("agent")
     if len(steps) > 1 and steps[0][0] == "agent" and isinstance(named, Scalar) and isinstance(named.value, str):
-        law = Mapping({"law": named}, {"law": named.place}, named.place)  # its name alone is short for this
+        law = Mapping({"law": named}, {"law": named.place}, named.place)  # the name of a law alone is short for this
         root = root.with_entry("agent", root.keys["agent"], law)
     path = [key for key, _ in steps]
     # A number of some links does not put them over others, and a key of a node leaves it its number.

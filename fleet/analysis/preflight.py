@@ -1,4 +1,8 @@
-"""Warnings before a run: checks that cannot pass, faults that do nothing, a large log."""
+"""Warnings before a run: checks that cannot pass, faults that do nothing, a large log.
+
+They are no errors, because `--duration` may shorten a run until checks cannot be judged, and faults may be injected
+live.
+"""
 
 from __future__ import annotations
 

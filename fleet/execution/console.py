@@ -294,6 +294,7 @@ def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
     process gives by kind of message. Every nav is answered by one command; agents' own counts are not needed. On a wall
     clock an agent may skip navs, and commands are not counted. Raises RunBroken if a process did not report.
     """
+    # A run that lost a message is invalid, whatever its checks say: what it shows was not computed from all messages.
     try:
         world_sent, world_received = counts["world"]["sent"], counts["world"]["received"]
         netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]

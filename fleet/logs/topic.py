@@ -144,6 +144,7 @@ class Topic:
 
     def thin(self, buckets: int) -> None:
         """Keep of each of `buckets` spans of time the first and the last sample, and the extremes of each column."""
+        # True samples, never means: so a picture shows a peak of one tick.
         self.compact()
         columns = joined(self._parts)
         log_ns = np.array(self._log_ns, np.int64)

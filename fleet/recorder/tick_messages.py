@@ -4,6 +4,9 @@ A tick of four vehicles has 28 of them, of a hundred vehicles 700. They differ f
 alone. So the numbers of all vehicles go into one pool of bytes. The pool already contains everything else: tags,
 lengths, channels, topics. A layout says where in the pool each byte comes from, and numpy gathers them. The messages of
 the tick, and the length of its timestamp, determine the layout.
+
+With a hundred vehicles this gave 753,000 instead of 395,000 messages/s. To pack a whole second at once was rejected: it
+would have to be cut at the borders of chunks.
 """
 
 from __future__ import annotations

@@ -1,5 +1,7 @@
 """An agent that sends again what an external agent sent in a log, because its law is not available here.
 
+Ours does not run in its place. So `fleet verify` proves the world, the network and all other agents.
+
 Its commands and telemetry are recorded. Its transmissions follow from the packets of its links: at least one
 link has each payload as it was sent, or with a flipped bit that can be turned back.
 """

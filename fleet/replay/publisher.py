@@ -2,7 +2,8 @@
 
 The run pays for a copy into a pipe and no more: the pipe is never waited for. When it is full, because the publisher
 cannot keep up, whole ticks are left out and counted; the numbers in the stamps show subscribers what is missing. The
-publisher's router is not the run's, so a subscriber cannot hold up, or even see, what moves the run.
+publisher's router is not the run's, so a subscriber cannot hold up, or even see, what moves the run: on the run's
+router low-latency sending happens on the calling thread, and a slow reader would stall the world.
 """
 
 from __future__ import annotations

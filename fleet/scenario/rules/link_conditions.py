@@ -14,7 +14,10 @@ from fleet.scenario.sections.trace_table import TraceTable
 from netem.parsing import nearest
 
 MOST_STATES = 16
-MOST_CHARACTERS = 900_000  # all traces together; a merged scenario has 1,000,000 at most
+# Characters of all traces together, because a merged scenario has 1,000,000 at most. They hold about 20 links for 10
+# minutes at 10 Hz. A trace is text there, because a log must run again without the file; compressed bytes would depend
+# on the version of zlib.
+MOST_CHARACTERS = 900_000
 _FORMS = ("condition", "states", "trace")
 _OF_TRACES = ("by", "start", "loop", "offset", "time_scale", "lost_below")
 

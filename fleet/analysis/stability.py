@@ -226,7 +226,7 @@ def _longest_delay_ns(scenario: Scenario) -> int:
 
 
 def dead_reckoning(scenario: Scenario, found: Analysis, age_s: float) -> float | None:
-    """K tau rho(A) at an age; None where nobody extrapolates with the velocities that neighbours sent."""
+    """K tau rho(A) at an age; None where no vehicle extrapolates with the velocities that neighbours sent."""
     if found.gain_max is None or not any(control.extrapolation == "neighbour" for control in scenario.controls):
         return None
     return found.gain_max * age_s * found.spectral_radius_A

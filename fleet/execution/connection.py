@@ -69,7 +69,7 @@ class LiveRun:
 
 
 def live_runs() -> list[LiveRun]:
-    """The runs of this user that can be asked, wherever they are, by name. A run in one process answers nobody. Raises
+    """The runs of this user that can be asked, wherever they are, by name. A run in one process answers none. Raises
     RegistryError if it is not known which runs there are.
     """
     found = [_read(directory) for directory in published(CONNECTION)]

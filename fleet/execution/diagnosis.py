@@ -85,7 +85,7 @@ def who_waits(
         late = [i for i in missing if i in late] or late
     if not late:
         return "waiting for the log" if log_is_behind else "waiting"
-    # Of a host's agents only the one that computes is late; the others wait for it.
+    # On a host only the agent that computes is late; the others wait for it.
     busy = {host: computing(host) for i in late if i not in external and (host := children[agent_role(i)].role)}
     late = [i for i in late if i in external or busy[children[agent_role(i)].role] in (0, i)] or late
     named = [

@@ -138,7 +138,7 @@ class Launch:
                     one.close()  # the process has it
 
     def close(self) -> None:
-        """Remove the folder of the run's socket: from now on nobody joins."""
+        """Remove the folder of the run's socket: from now on no process can join."""
         self._private.close()
         if self._ends is not None:
             self._ends.close()

@@ -196,7 +196,7 @@ class Operator:
     def _round_of_restart(self, tick: int, kills: Sequence[Kill]) -> int:
         m = self.scenario.round_ticks
         first = -(-tick // m) * m
-        # Of a kill that begins right there, a process may have been ended already.
+        # A kill that begins right there may have ended a process already.
         return first + m if any(kill.begin >= first for kill in kills) else first
 
     def _replace(self, faults: Sequence[Part]) -> None:

@@ -146,7 +146,7 @@ class Run:
     ) -> None:
         refuse(scenario, "a run in one process")
         if agents and scenario.spec.triggers:
-            # Their moments are found in a run before this one, and nothing is known of what these agents will do.
+            # The moments of triggers are found in a run before, which does not know what these agents will do.
             raise FleetError(
                 "triggers: they cannot be combined with agents that are given in Python; leave them out, or inject a "
                 "fault when its moment has come"

@@ -1,4 +1,4 @@
-"""The result of a run that nobody steps, for scripts and studies."""
+"""A whole run in this process, from its first tick to its result, for scripts and studies."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ class Log:
 
     @property
     def topics(self) -> list[str]:
-        """The names of all topics in the order of the file, also of those without a message."""
+        """The names of all topics in the order of the file, also of topics without a message."""
         return list(self._topics)
 
     @property

@@ -159,7 +159,7 @@ class LogReader:
         return item if item.id == numbers[item.id] else replace(item, id=numbers[item.id])
 
     def gathered(self, most: int) -> Iterator[Block]:
-        """The same, a few blocks as one, with at most so many bytes of data if each has fewer."""
+        """The blocks of `blocks`, a few as one: `most` bytes of data, if each has fewer."""
         some: list[Block] = []
         size = 0
         for block in self.blocks():

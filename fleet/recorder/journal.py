@@ -74,7 +74,7 @@ class Journal:
         self.reported = -1
         self.closed = False
         self._last = scenario.ticks
-        # Of robots that are not ours nothing is measured.
+        # Robots that are not ours are not measured.
         still = VehicleError((0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), 0.0)
         self._unmeasured = dict.fromkeys(range(1, scenario.vehicles + 1), still) if scenario.nodes else None
         self._events = deque(scenario.faults.events)
@@ -209,7 +209,7 @@ class Journal:
                 self.add_event(replace(self.deaths.pop(i), tick=life.tick, action="ends"))
             elif not life.begins and life.tick < self._last and (i, life.tick) not in self._planned_deaths:
                 if life.diverged:
-                    # It comes again when the scenario is run again: it was not injected.
+                    # This event was not injected, so it comes again when the scenario is run again.
                     self.add_event(self._diverges(i, life.tick))
                     continue
                 self.deaths[i] = Event(life.tick, self._name(f"death-{i}"), "begins", f"kill {i}")

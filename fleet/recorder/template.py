@@ -10,7 +10,7 @@ from fleet.logs.schemas import varint
 
 
 class Template:
-    """The encoded message that a function makes of so many doubles, without making it.
+    """The encoded message that a function makes of a number of doubles, without making it.
 
     Protobuf leaves out zeros, which changes the lengths before them: where a value is zero, the function is called.
     """

@@ -203,8 +203,8 @@ class TickMessages:
         return Batch(at_ns, frame.tick, layout.channels, layout.bounds, records, digested)
 
     def _layout(self, groups: Sequence[str], stamp: int, there: Sequence[tuple[int, bool, bool, bool]]) -> _Layout:
-        """For the messages of these groups, with a timestamp of so many bytes. `there`: vehicle after vehicle, and
-        whether it has a measurement, a command, telemetry.
+        """For the messages of these groups. `stamp`: length of the timestamp [bytes]. `there`: vehicle after vehicle,
+        and whether it has a measurement, a command, telemetry.
         """
         key = (tuple(groups), stamp, tuple(there))
         if key in self._layouts:

@@ -104,7 +104,7 @@ def as_it_was(source: Recorded) -> Scenario:
     happened = [(at_ns, e.fault, e.action, e.what) for at_ns, e in source.events]
     planned = [(e.tick * scenario.tick_ns, e.fault, e.action, e.what) for e in scenario.faults.events]
     kept = set(happened)
-    # Of a file with gaps some of it may be missing, and of a cut one what belongs to its last tick.
+    # A file with gaps may lack some messages, and a cut one what belongs to its last tick.
     gone = [event for event in planned if event[0] < source.last_ns and event not in kept]
     if kept <= set(planned) and (not gone or _gaps(source.reader)):
         return scenario

@@ -79,7 +79,7 @@ class LivePublisher:
             "units": self._units,
             "wait": self.wait,
         }
-        # It ends with the pipe, also when we are killed.
+        # The process ends with the pipe, also when we are killed.
         streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         self._process = process = begin("fleet.replay.publisher_process", **streams)
         try:

@@ -120,7 +120,7 @@ class Scenario:
 
     @property
     def plants(self) -> dict[str, PlantSection]:
-        """The plants of the vehicles by name; of those with one name the first."""
+        """The plants of the vehicles by name, for each name the first."""
         return {c.plant.name: c.plant for c in reversed(self.controls) if c.plant is not None}
 
     @cached_property
@@ -323,7 +323,7 @@ def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
 
 
 def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:
-    """The same in words, a line each; with `most`, only so many and a line that says how many more there are."""
+    """The same in words, a line each; with `most`, no more lines, and one that says how many are left out."""
     found = timeline(scenario)
     waiting = trigger_lines(scenario.spec.triggers, scenario.spec)
     lines = [

@@ -83,7 +83,7 @@ class Recovery(Section):
 
 
 class MinSeparation(Section):
-    """The distance of any two vehicles, of all or of those named, stays above a limit from a time to the end."""
+    """The distance of any two vehicles, of all or of the named ones, stays above a limit from a time to the end."""
 
     above: v.PositiveLength
     after: v.Time = 0

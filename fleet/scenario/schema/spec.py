@@ -113,7 +113,7 @@ class ScenarioSpec(Section):
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]  # also names the run directory
     title: Annotated[str, BeforeValidator(_title)]  # what it shows, in one line
-    # Of fleet list, which reads it in the file. It decides nothing in a run, so it is checked and forgotten.
+    # `fleet list` reads the group in the file. It decides nothing in a run, so it is checked and forgotten.
     group: Annotated[Group | None, AfterValidator(lambda _: None), Field(exclude=True)] = None
     # Robots that are not ours, in place of vehicles; `fleet netem` serves them.
     nodes: Annotated[dict[NodeName, Node], Field(min_length=2)] | None = None

@@ -200,7 +200,7 @@ class _Drawn:
             self._add(k, self._body(k, kinds[draws.among(len(kinds), k, _KIND)], target), at, self._length(k, end - at))
 
     def _after(self, begin: int, eighths: int) -> int:
-        """The time so many eighths of a unit after another one [ns], in whole ticks."""
+        """The time some eighths of a unit after another one [ns], in whole ticks."""
         tick = self._ground.spec.tick
         return begin + eighths * self._unit // 8 // tick * tick
 

@@ -121,7 +121,7 @@ def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
 
 def _target(kind: str, name: str, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
     if isinstance(KINDS[kind], PartitionFault):
-        # Its draw depends on the id of the fault, not on its place: a list that is sorted by time draws the same.
+        # The draw of a partition depends on its id, not on its place: a list that is sorted by time draws the same.
         cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]
     if isinstance(KINDS[kind], OfLinks):

@@ -190,7 +190,7 @@ class _Past:
 def _body(
     one: DrawnFault, lasts: int, ground: NemesisTargets, past: _Past
 ) -> tuple[dict[str, Any], set[Pair], set[int]]:
-    """The body of a fault of so many ns, the pairs that it cuts, and the vehicles that it silences."""
+    """The body of a fault with its length [ns], the pairs that it cuts, and the vehicles that it silences."""
     word = one.pick.drawn
     if word is None:
         return one.pick.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True), set(), set()

@@ -38,7 +38,7 @@ _SETTLED = 1e-12
 
 
 class Talking(NamedTuple):
-    """The mean from one start to the next [ticks], and the share of starts that meet nobody."""
+    """The mean from one start to the next [ticks], and the share of starts that meet no other transmission."""
 
     mean: float
     alone: float

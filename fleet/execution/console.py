@@ -1,6 +1,6 @@
 """The console of a distributed run: start the processes, wait until all are ready, grant the clock, record.
 
-Everything that happens is an event of one queue (`fleet.execution.events`), which the main thread takes one by one.
+Everything that happens is an event of one queue (`fleet.execution.session`), which the main thread takes one by one.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import msgpack
 from fleet.errors import RunBroken, StoppedError
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
-from fleet.execution.events import EXPECTED, EventKind
 from fleet.execution.hosting import Hosting
 from fleet.execution.operator import Operator
 from fleet.execution.options import Options
 from fleet.execution.runner import Closing
+from fleet.execution.session import EXPECTED, EventKind
 from fleet.execution.supervisor import Supervisor
 from fleet.processes.children import Exit
 from fleet.processes.interrupts import deferring_interrupts

@@ -17,13 +17,12 @@ import agents.process
 from fleet.errors import RunBroken
 from fleet.execution.diagnosis import explain, who_waits
 from fleet.execution.directory import RunDirectory
-from fleet.execution.events import EventKind, EventQueue
 from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.hosting import Hosting
 from fleet.execution.launch import Launch
 from fleet.execution.notes import Notes, tick_text
 from fleet.execution.options import Options
-from fleet.execution.session import Session, connect_to_router, connect_to_world
+from fleet.execution.session import EventKind, EventQueue, Session, connect_to_router, connect_to_world
 from fleet.processes.children import (
     FORKSERVER_LOST,
     Children,

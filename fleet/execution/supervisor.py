@@ -164,6 +164,7 @@ class Supervisor:
 
     def next_restart(self) -> int:
         """The first begin of an agent that is not ready yet, as a tick. The clock stops before it."""
+        # Simulated time waits for the process, so the result does not depend on the 0.3 s that Python takes to start.
         planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 

@@ -1,4 +1,9 @@
-"""A tree of YAML is checked by the schema and the rules: every mistake is found, each where it was written."""
+"""A tree of YAML is checked by the schema and the rules: every mistake is found, each where it was written.
+
+The schema is of pydantic. msgspec was rejected, because it stops at the first mistake, and its path is a text
+(`Invalid enum value 'tdna' - at $.acoustic.mac`). pydantic costs at most 0.2 s of a start, and only the console imports
+it.
+"""
 
 from __future__ import annotations
 

@@ -5,15 +5,31 @@ from __future__ import annotations
 import atexit
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from fleet.addon import parts
 from fleet.errors import FleetError
 from netem.private_folder import PrivateFolder
 
-if TYPE_CHECKING:
-    from fleet.logs.recover import Recovered
+
+@dataclass(slots=True)
+class Recovered:
+    """The result of a recovery."""
+
+    path: Path
+    out: Path
+    messages: int = 0
+    until_s: float = 0.0
+    undeclared: int = 0  # messages on channels of which nothing is known any more
+    lost: str = ""  # what is gone, in words; "" if no message is
+    rebuilt: bool = False  # the index was missing
+    places: list[str] = field(default_factory=list)
+
+    @property
+    def nothing(self) -> bool:
+        return not self.messages
 
 
 class OtherData:

@@ -110,7 +110,7 @@ def _check_log(log: Path, overrides: tuple[str, ...]) -> NoReturn:
 
 def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Problem]) -> None:
     from fleet.analysis.link_shares import link_lines
-    from fleet.analysis.preflight import may_draw
+    from fleet.analysis.randomness import may_draw
     from fleet.scenario.scenario import timeline_lines
 
     links = loaded.graph.links

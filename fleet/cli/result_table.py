@@ -137,7 +137,7 @@ def _show_protocols(rows: dict[str, VehicleResult], from_s: float, terminal: Ter
 
 
 def _show_links(result: Result, terminal: Terminal, say: Say) -> None:
-    """Packets and ages of the links: of all together, and of those with the oldest information.
+    """Packets and ages of the links: of all together, and of the links with the oldest information.
 
     Links with the same numbers are one row. Columns of zeros are left out. Where there is no room for every cause of a
     loss, one column has their sum.

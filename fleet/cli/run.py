@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override
 
 SEED = Whole(0, 2**63 - 1)
-MOST_FAULTS = 20  # of the scenario, said before it runs
+MOST_FAULTS = 20  # faults of the scenario that are said before it runs
 
 
 @command(epilog=EPILOG, document="fleet.result.result.Result")

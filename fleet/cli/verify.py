@@ -64,7 +64,8 @@ def diff(
       fleet diff runs/paper-1-20261121-120000
       fleet diff a.mcap b.mcap --tolerance 1e-9
     """
-    from fleet.logs.deviation import begin_ns, besides_messages, compare, deviation_lines
+    from fleet.logs.deviation import compare, deviation_lines
+    from fleet.logs.difference import begin_ns, besides_messages
     from fleet.logs.reader import LogReader, log_path
     from fleet.logs.schemas import FROM
 

@@ -69,9 +69,9 @@ class Rendezvous:
     router: str | None = None  # endpoint of a router that is there already; None: the world hosts one
     credentials: dict[str, Credentials] | None = None  # by role; None: fresh ones
     listener: Listener | None = None  # where the run's own router listens for other hosts
-    reached: str = ""  # endpoints for join files, with commas between them; empty: those of this host
+    reached: str = ""  # endpoints for join files, with commas between them; empty: this host's
     ca: str = ""  # PEM: goes into join files
-    certificates: dict[str, KeyPair] = field(default_factory=dict)  # of external agents, by role
+    certificates: dict[str, KeyPair] = field(default_factory=dict)  # for external agents, by role
     certified: Listener | None = None  # where the run listens for agents that have a certificate and no password
     folders: dict[int, JoinFolder] = field(default_factory=dict)  # what these join with, by vehicle
     lease_ms: int | None = None  # between hosts; None on one host

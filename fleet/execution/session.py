@@ -1,4 +1,7 @@
-"""The console's session on the bus: what it publishes, asks and answers, and what it turns into events."""
+"""The console's session on the bus: what it publishes, asks and answers, and the events that it makes of what comes.
+
+The events are in one queue, the console's input. The watcher of processes puts its events there, too.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,8 @@ from netem.wire.credentials import Credentials, agent_role, host_role
 from netem.wire.keys import Keys
 from netem.wire.messages import Frames, Hello, LinkReport, Message
 
-# --- events: the console's input, one queue of events, filled by the threads of zenoh and the watcher of processes
+CONNECT_S = 10.0
+CONNECT_TRY_MS = 500
 
 
 class EventKind(StrEnum):
@@ -69,10 +73,6 @@ class EventQueue:
         deadline = time.monotonic() + duration_s
         while (left_s := deadline - time.monotonic()) > 0:
             yield from self.take(left_s)
-
-
-CONNECT_S = 10.0
-CONNECT_TRY_MS = 500
 
 
 def connect_to_world(endpoint: str, credentials: Credentials, meanwhile: Callable[[], None]) -> Bus:

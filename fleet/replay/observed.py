@@ -44,9 +44,9 @@ def write_observed(path: Path, observed: Observed) -> None:
 
 
 def host_observed(observed: Observed) -> OpenBus:
-    """A router at the endpoint that lets in the observer and nobody else. Raises BusError: the endpoint is not valid,
+    """A router at the endpoint that lets in the observer alone. Raises BusError: the endpoint is not valid,
     or it is in use."""
-    from netem.wire.open_bus import OpenBus  # and with it zenoh, which a run in one process does without
+    from netem.wire.open_bus import OpenBus  # here, because it imports zenoh, which a run in one process does without
 
     with PrivateFolder() as private:
         credentials = Credentials(observed.user, observed.password)

@@ -130,7 +130,24 @@ class Published(Struct):
 
 
 class Result(Struct, kw_only=True):
-    """The result of a run. `result.json` has all of it but `run` and `directory`."""
+    """The result of a run. `result.json` has all of it but `run` and `directory`.
+
+    Attributes:
+        scenario: name of the scenario.
+        seed: the seed of the run.
+        status: how the run ended.
+        exit: the exit status of `fleet run`.
+        lines: what explains `reason`, such as the last lines of a process.
+        sim_s: the simulated time that the run reached [s].
+        vehicles: the result of each vehicle, by its number as text.
+        formation: the formation errors in the last frame [m].
+        tumbles: when vehicles were tumbled.
+        ledger: the account of the packets of each link, by `1->2`.
+        faults: when faults began and ended, in that order.
+        python: version of Python.
+        wall: wall times [s], processes, and what computed the run.
+        notes: what agents and processes reported, a line each.
+    """
 
     run: Annotated[str, Meta(description="Empty: it has no directory.")] = ""
     directory: Annotated[Path | None, Meta(description="null: nothing was written.")] = None

@@ -53,7 +53,7 @@ class Policy:
 
 
 READING = Policy(imports=False)
-RECORDS = ("run.mcap", "result.json")  # in the directory of a run; one of them may not be there
+RECORDS = ("run.mcap", "result.json")  # a run's directory has both, or one of the two
 
 
 @dataclass(frozen=True, slots=True)

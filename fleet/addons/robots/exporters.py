@@ -44,7 +44,7 @@ class Traces(Exporter):
     def write(self, log: Path, selection: Selection, *, force: bool) -> Iterable[Path]:
         """Write them. Raises UsageError: the log is of a run, and has all its links; FleetError: it cannot be done."""
         from fleet.addons.robots.field_traces import FieldSelection, write_field_traces
-        from fleet.logs.export import write_traces
+        from fleet.logs.link_traces import write_traces
         from fleet.logs.open_log import open_log
 
         if self.folder is None:

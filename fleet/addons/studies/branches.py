@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.row import PartRow, Row
-from fleet.analysis.preflight import may_draw
+from fleet.analysis.randomness import may_draw
 from fleet.analysis.verdicts import judge
 from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess, in_process

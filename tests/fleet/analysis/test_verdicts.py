@@ -517,7 +517,7 @@ def test_what_was_replaced_is_not_called_lost(tmp_path: Path, capsys: pytest.Cap
     """Payloads that news overtook in the modem have a column of their own, and do not count on the progress line."""
     from rich.console import Console
 
-    from fleet.execution.execute import ProgressLine
+    from fleet.execution.progress import ProgressLine
     from fleet.terminal.line import fit
     from fleet.terminal.status_line import StatusLine
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.recorder.scene.styles import (
+from fleet.recorder.scene.link_state import (
     ARRIVED,
     BEHIND,
     CUT,

@@ -23,9 +23,10 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
+from fleet.recorder.scene.link_state import CUTS, HISTORY
 from fleet.recorder.scene.messages import LinkHistories, Scene, hull
 from fleet.recorder.scene.model import diameter
-from fleet.recorder.scene.styles import CUTS, FOXGLOVE, HISTORY
+from fleet.recorder.scene.styles import FOXGLOVE
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from in_process_runs import Alone, log_of
 
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Fix, VehicleFrame

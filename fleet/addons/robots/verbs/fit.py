@@ -45,8 +45,8 @@ def fit(
       fleet fit links/1-2.csv > links.yaml
     """
     from fleet.addons.robots.link_fit import fit as fitted
-    from fleet.scenario.sections.link_conditions import read_trace
-    from fleet.scenario.text.yaml_reader import yaml_text
+    from fleet.scenario.sections.trace_table import read_trace
+    from fleet.scenario.text.yaml_writer import yaml_text
 
     if trace.suffix != ".csv":
         raise click.BadParameter(f"expected a file that ends in .csv, got {trace}", param_hint="TRACE")

@@ -33,7 +33,8 @@ from fleet.logs.schemas import CLOCK, FROM
 from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
-from fleet.scenario.text.yaml_reader import Source, inline, plain, read
+from fleet.scenario.text.yaml_reader import Source, plain, read
+from fleet.scenario.text.yaml_writer import inline
 from fleet.scenario.trust import Policy
 from netem.clock import Clock
 from netem.condition import Link

@@ -96,7 +96,11 @@ class Run:
 
         Args:
             scenario: a shipped name, a file, or a loaded scenario.
-            set: changes, as for `fleet.run`; so `net`, `fault`, `seed` and `trust`.
+            set: changes of keys, as for `fleet.run`.
+            net: conditions of links, as for `fleet.run`.
+            fault: faults in the words of `fleet inject`, as for `fleet.run`.
+            seed: in place of the scenario's.
+            trust: run modules, too, that are neither installed nor the user's own.
             log: a new file that records the run. None: the run is not recorded.
 
         Raises:

@@ -6,7 +6,7 @@ from math import dist, inf
 from typing import Any, Literal
 
 from fleet.checks.api import Facts, Failure, Margin, NotJudged, Tick, Vehicle, seconds
-from fleet.checks.sides import Sides
+from fleet.checks.sides import ReachableGroups
 from fleet.protocols.bidder import rounds_needed
 from fleet.protocols.bundle_auction import places_of
 
@@ -119,7 +119,7 @@ class TrueMean:
         """`below`: the greatest error of an average [degC]. `within`: the time allowed after the start, and after every
         change of the sides."""
         self._below, self._within = below, seconds(within)
-        self._sides = Sides(facts)
+        self._sides = ReachableGroups(facts)
         self._found = ""
         self._worst: tuple[float, float] | None = None  # by how much an average was off [degC], when [s]
 
@@ -175,7 +175,7 @@ class AtMostOneLeader:
         if per not in ("fleet", "side"):
             raise ValueError(f"per: expected fleet or side, got {per!r:.40}")
         self._per_side, self._grace = per == "side", seconds(grace)
-        self._sides = Sides(facts)
+        self._sides = ReachableGroups(facts)
         self._until: dict[int, float] = {}  # true time [s] until which a vehicle leads, as it reported last
         self._most = 0
         self._tick_s = facts.tick
@@ -237,7 +237,7 @@ class AgreeAfterHeal:
             raise ValueError(f"quorum: expected fleet or side, got {quorum!r:.40}")
         self._within, self._of_fleet = seconds(within), quorum == "fleet"
         self._vehicles = facts.vehicles
-        self._sides = Sides(facts)
+        self._sides = ReachableGroups(facts)
         self._agreed_since: float | None = None  # the change [s] after which they have agreed; None: they do not
         self._longest = 0.0  # the longest time from a change to the agreement [s]
         self._waited = 0.0, facts.begin  # the longest time after a change without agreement [s], and until when

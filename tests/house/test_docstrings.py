@@ -73,7 +73,7 @@ def test_a_stray_entry_is_found(docstring: str, expected: list[str]) -> None:
     assert wrong(ast.parse(f'def do(a, b):\n    """{docstring}    """\n')) == expected
 
 
-INTERFACES = ("agents.api", "world.api")
+INTERFACES = ("agents.api", "fleet", "fleet.checks.api", "world.api")
 
 
 def functions_of(interface: ModuleType) -> Iterator[tuple[str, FunctionType]]:
@@ -84,6 +84,8 @@ def functions_of(interface: ModuleType) -> Iterator[tuple[str, FunctionType]]:
         if isclass(exported):
             public = ((key, each) for key, each in vars(exported).items() if key == "__init__" or key[0] != "_")
             members = {f"{name}.{key}": getattr(each, "fget", None) or unwrap(each) for key, each in public}
+        made_elsewhere = ("Log.__init__",)
+        members = {full: each for full, each in members.items() if full not in made_elsewhere}
         yield from ((full, each) for full, each in members.items() if isfunction(each) and each.__doc__)
 
 
@@ -92,9 +94,10 @@ def unsaid(interface: ModuleType) -> list[str]:
     found = []
     for full, function in functions_of(interface):
         text, asked = cleandoc(function.__doc__ or ""), signature(function)
-        names = set(asked.parameters) - {"self", "cls"} - set(entries(text))
-        found += [f"{full}: {name}" for name in sorted(names)]
-        if asked.return_annotation not in ("None", None) and "\nReturns:\n" not in text:
+        arguments = set(asked.parameters) - {"self", "cls", "unknown"}  # the last one takes what is refused
+        found += [f"{full}: {name}" for name in sorted(arguments - set(entries(text)))]
+        # A property, or a method that asks for nothing, says what it is in its sentence.
+        if arguments and asked.return_annotation not in ("None", None) and "\nReturns:\n" not in text:
             found.append(f"{full}: Returns")
     return found
 

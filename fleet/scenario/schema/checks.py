@@ -223,7 +223,7 @@ class ChecksSection(Section):
         """Put the checks that are classes under one key."""
         if not isinstance(value, dict):
             return value
-        known = {field.alias or name for name, field in cls.model_fields.items()}
+        known = cls.model_fields.keys() - {"python"}
         others = {key: one for key, one in value.items() if isinstance(key, str) and key not in known}
         classes = {key: one for key, one in others.items() if ":" in key or key in installed(CHECKS)}
         return {key: one for key, one in value.items() if key not in classes} | ({PYTHON: classes} if classes else {})

@@ -38,14 +38,15 @@ SWITCH = "UUV_FLEET_COMPILE"
 # - what was not faster: the recorder packs bytes by calls of C already;
 # - fleet/recorder/journal.py: mypyc makes a list of a generator, and one there never ends.
 MODULES = (
-    "world/current.py", "world/disturbance.py", "world/dynamics.py", "world/run_state.py", "world/lockstep.py",
+    "world/disturbance.py", "world/dynamics.py", "world/frames.py", "world/run_state.py", "world/lockstep.py",
     "world/sea.py", "world/tumble.py", "world/vectors.py", "world/navigation/filter.py",
-    "world/navigation/fixes.py", "world/navigation/instruments.py", "world/navigation/navigator.py",
+    "world/navigation/instruments.py", "world/navigation/navigator.py",
     "agents/agent.py", "agents/brain.py", "agents/codecs.py", "agents/compact.py", "agents/controllers.py",
     "agents/loop.py", "agents/neighbours.py", "agents/payload.py", "agents/plugged_agent.py",
-    "agents/laws/backstepping.py", "agents/laws/velocity_command.py", "agents/laws/kinematics.py",
-    "agents/laws/guidance.py", "netem/ages.py", "netem/draws.py", "netem/histogram.py",
-    "netem/impairment.py", "netem/rounds.py", "netem/wire/codec.py", "fleet/recorder/metrics.py",
+    "agents/laws/angles.py", "agents/laws/backstepping.py", "agents/laws/gain_qp.py",
+    "agents/laws/guidance.py", "agents/laws/kinematics.py", "agents/laws/velocity_command.py",
+    "netem/ages.py", "netem/draws.py", "netem/histogram.py", "netem/impairment.py",
+    "netem/rounds.py", "netem/wire/codec.py", "fleet/recorder/metrics.py",
     "fleet/execution/in_process.py",
 )  # fmt: skip
 # Fused multiply-add and reordered sums would change the last bits of a result.

@@ -19,13 +19,14 @@ from math import nan
 from agents.brain import Brain
 from agents.codecs import codec
 from agents.compact import OutOfRange
-from agents.config import AgentConfig, Offset
+from agents.config import AgentConfig
 from agents.controllers import Notes, build
 from agents.errors import ControllerError
 from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip, consensus_error
 from agents.localization.localizer import Localizer, Navigated
 from agents.neighbours import NeighbourTable, own_time
+from agents.offset import Offset
 from agents.payload import StateMessage
 from agents.sample import Decision, NeighbourState, Sample
 from agents.trajectory import Motion
@@ -45,6 +46,9 @@ def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[i
     The desired position is the weighted mean of pos_j + Delta_ij over the neighbours heard so far, whose state is not
     outdated. The desired velocity is the weighted mean of vel_j + Delta_ij'. If the sum of the weights is 0, the
     desired position is the vehicle's own position and the desired velocity is 0.
+
+    Along a directed chain this is stable for every delay. Over links both ways the linear loop is unstable at every
+    gain, and the fleet swings by half a metre. A better estimator is a separate protocol.
     """
     total = x = y = z = vx = vy = vz = 0.0
     for j, a, (ox, oy, oz), (px, py, pz), (ux, uy, uz), _, _, _ in heard:

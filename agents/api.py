@@ -22,7 +22,8 @@ import agents
 from agents.config import AgentConfig
 from agents.errors import PayloadError
 from agents.formation_agent import FormationAgent
-from agents.laws.kinematics import earth_velocity, flight_path, wrap
+from agents.laws.angles import wrap
+from agents.laws.kinematics import earth_velocity, flight_path
 from agents.message import pack, unpack
 from agents.sample import NeighbourState, Sample, VelocityCommand
 from agents.trajectory import Motion
@@ -62,7 +63,7 @@ if sys.flags.optimize < 2 and not (agents.__doc__ or "").startswith("Agents: "):
         "into an environment of its own: uv tool install, or pipx install"
     )
 
-Telemetry = Mapping[str, float | Sequence[float]]
+Telemetry = Mapping[str, float | Sequence[float]]  # by the name of a signal, in its unit
 
 
 class Controller(Protocol):
@@ -72,6 +73,9 @@ class Controller(Protocol):
 
     def step(self, sample: Sample) -> tuple[Vec3, Telemetry]:
         """Answer one sample.
+
+        Args:
+            sample: all that the law may know now.
 
         Returns:
             Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry: a
@@ -87,6 +91,9 @@ class Guidance(Protocol):
     def step(self, sample: Sample) -> tuple[Vec3, Telemetry]:
         """Answer one sample.
 
+        Args:
+            sample: all that the law may know now.
+
         Returns:
             The commanded velocity over ground [m/s, NED], and the telemetry.
         """
@@ -100,6 +107,10 @@ class Tracking(Protocol):
     def step(self, sample: Sample, command: VelocityCommand) -> tuple[Vec3, Telemetry]:
         """Answer one sample.
 
+        Args:
+            sample: all that the law may know now.
+            command: speed [m/s], pitch and course of the velocity [rad, NED] that guidance asks for.
+
         Returns:
             Surge force [N], pitch moment and yaw moment [N m], before the actuators' limits; and the telemetry.
         """
@@ -111,13 +122,16 @@ class WholeAgent(Protocol):
     signals: ClassVar[tuple[Signal, ...]]
 
     def transmit(self, nav: Nav) -> Sequence[bytes]:
-        """The payloads to send to every neighbour, at round ticks; at most 40 kB together.
+        """Choose what to send to every neighbour, at round ticks.
 
         Args:
             nav: the own measured state. `tick` is the time by the vehicle's own clock. `eta` is x, y, z [m, NED],
                 theta, psi [rad]. `nu` is u, v, w [m/s, body, over ground], q, r [rad/s]. `roll` is phi [rad], p
                 [rad/s]; it is empty without a plant. `belief` is the covariance of x, y, z, psi [m, rad]: the upper
                 triangle, row by row. It is empty if the vehicle does not estimate its position.
+
+        Returns:
+            The payloads, at most 40 kB together; an empty sequence if there is nothing to say.
         """
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:

@@ -11,53 +11,10 @@ from typing import Any, Literal, get_type_hints
 
 import msgspec
 
+from agents.offset import Offset
 from agents.trajectory import Motion, Reference, reference_type
-from world.config import VehicleParams
-from world.vectors import ZERO, Vec3, minus, moved, plus, scale
-
-# --- offset: the desired place of a vehicle in the formation, and its changes over time
-
-
-@dataclass(frozen=True, slots=True)
-class OffsetChange:
-    """From `begin` [s] on the offset moves to `offset` [m, NED], where it arrives `blend` [s] later."""
-
-    begin: float
-    blend: float
-    offset: Vec3
-
-
-@dataclass(frozen=True, slots=True)
-class Offset:
-    """An offset that may change: p_i(t), or Delta_ij(t) = p_i(t) - p_j(t)."""
-
-    start: Vec3  # m, NED
-    changes: tuple[OffsetChange, ...] = field(default=())  # in order of time, none before the one before is complete
-
-    def at(self, t: float) -> Motion:
-        """The offset [m, NED] and its rate [m/s] at time t [s].
-
-        A blend follows 10 x^3 - 15 x^4 + 6 x^5: at rest at both ends, with a continuous acceleration, and at most
-        1.875 times as fast as a straight change.
-        """
-        offset = self.start
-        for change in self.changes:
-            if t >= change.begin + change.blend:
-                offset = change.offset
-            elif t > change.begin:
-                x = (t - change.begin) / change.blend
-                way = x * x * x * (10.0 + x * (6.0 * x - 15.0))
-                rate = 30.0 * x * x * (1.0 - x) * (1.0 - x) / change.blend
-                step = minus(change.offset, offset)
-                return Motion(moved(offset, step, way), scale(step, rate))
-            else:
-                break
-        return Motion(offset, ZERO)
-
-    @property
-    def moving(self) -> bool:
-        return bool(self.changes)
-
+from world.vectors import Vec3, plus
+from world.vehicle_params import VehicleParams
 
 Extrapolation = Literal["hold", "neighbour", "reference"]
 Cost = Literal["printed", "consistent"]
@@ -94,7 +51,8 @@ class GuidanceParams:
     qp_ticks: int  # the QP runs on ticks divisible by this
     horizon_s: float  # prediction step Delta t of eq. 18
     cost: Cost = "printed"
-    solver: Solver = "piqp"  # of the gain: its exact formula alone, or PIQP beside it; the gain is the same
+    # How the gain is solved: by its exact formula alone, or with PIQP beside it. The gain is the same.
+    solver: Solver = "piqp"
     slew: float = 0.0  # m/s^2 per axis on rho; 0: off
 
 
@@ -124,7 +82,7 @@ class TrackingParams:
 class Cylinder:
     """A vertical cylinder that no vehicle may enter, from the surface to the bottom."""
 
-    north: float  # m, of its axis
+    north: float  # m, where its axis is
     east: float  # m
     radius: float  # m
 
@@ -133,13 +91,13 @@ class Cylinder:
 class KeepApartParams:
     """The filter that keeps vehicles apart (agents/laws/keep_apart.py)."""
 
-    distance: float  # m, of any two vehicles
+    distance: float  # m, least distance of any two vehicles
     obstacles: tuple[Cylinder, ...]
-    gain: float  # 1/s, of the barrier
+    gain: float  # 1/s, gain of the barrier
     lag_s: float  # longest lag of the velocity behind the command
     slew: float  # m/s^2 per axis, limit of how fast the filter changes the command
     acceleration: float  # m/s^2, limit of what a neighbour does
-    speed: float  # m/s, likewise; and on each horizontal axis the limit of what the filter commands
+    speed: float  # m/s, limit of a neighbour's speed, and on each horizontal axis of what the filter commands
     climb: float  # m/s, up or down, the limit of what is commanded
     age_cap_s: float  # what is older is extrapolated no further, and its margin grows no more
 
@@ -150,7 +108,7 @@ class LocalizationParams:
 
     method: Method
     gate: float  # chi-square with 1 degree of freedom: a range that fits worse is refused
-    mirror: bool = False  # whether it keeps the mirror image of its place (agents/localization/localizer.py)
+    mirror: bool = False  # whether it keeps the mirror image of its place (agents/localization/mirror_image.py)
     nis: bool = False  # whether it reports the mean NIS of the ranges that it used
 
 
@@ -166,36 +124,46 @@ class Law:
 class AgentConfig:
     """One agent's slice of the scenario."""
 
-    id: int
-    seed: int
-    tick_ns: int
-    round_ticks: int
+    id: int  # number of the vehicle, from 1
+    seed: int  # of the run
+    tick_ns: int  # control period Ts
+    round_ticks: int  # m, ticks from one transmission to the next
     offset: Offset  # p_i [m, NED]: eta_i^d = eta_1^d + p_i
     reference: Reference | None  # eta_1^d (eq. 11); None: this agent does not know it
     reference_weight: float  # b_i [1]
-    neighbours: tuple[Neighbour, ...]
-    extrapolation: Extrapolation
+    neighbours: tuple[Neighbour, ...]  # those that it may hear
+    extrapolation: Extrapolation  # how an old position of a neighbour is carried on
     age_cap_s: float  # what is older is extrapolated no further; 0: any
     drop_after_s: float  # a neighbour not heard for longer has no weight until it is heard again; 0: never
-    guidance: GuidanceParams
-    tracking: TrackingParams
+    guidance: GuidanceParams  # parameters of the law for the velocity
+    tracking: TrackingParams  # parameters of the law for the forces
     vehicle: VehicleParams  # the controller's model of its own vehicle
     tau_max: Vec3  # N, N m, N m
-    guidance_law: Law = Law("optimal")
-    tracking_law: Law = Law("neurodynamic")
-    controller: Law | None = None  # in place of guidance and tracking
-    agent: Law | None = None  # in place of everything
+    guidance_law: Law = Law("optimal")  # turns the sample into a commanded velocity
+    tracking_law: Law = Law("neurodynamic")  # turns the commanded velocity into forces
+    controller: Law | None = None  # one law in place of guidance and tracking
+    agent: Law | None = None  # a whole agent in place of all laws
     on_error: OnError = "abort"  # what follows when a law fails
     budget_s: float = 0.0  # wall time a law may take for a sample; 0: any
-    codec: Codec = "full"  # of what it sends: agents.payload, agents.compact or agents.localization.payload
+    codec: Codec = "full"  # format of its messages: agents.payload, agents.compact or agents.localization.payload
     standby_for: tuple[int, ...] = ()  # while it hears none of these neighbours it follows the reference itself
-    standby_after_s: float = 0.0  # for so long
+    standby_after_s: float = 0.0  # how long the agent must hear none of them before it follows the reference [s]
     keep_apart: KeepApartParams | None = None  # between guidance and tracking; None: nothing is there
     localization: LocalizationParams | None = None  # between navigation and guidance; None: nothing is there
     moored: bool = False  # its vehicle does not move, so a whole agent need not steer
 
     def desired(self, t: float) -> Motion:
-        """Where to be at time t [s], and how to move: pd_i = eta_1^d + p_i. Raises ValueError: it is not known."""
+        """Say where the vehicle should be: pd_i = eta_1^d + p_i.
+
+        Args:
+            t: time [s].
+
+        Returns:
+            The position [m, NED] and the velocity [m/s, NED].
+
+        Raises:
+            ValueError: this agent does not know the reference.
+        """
         if self.reference is None:
             raise ValueError(f"agent {self.id} is not told the reference (knows_reference: false), only what it hears")
         reference = self.reference.at(t)
@@ -205,13 +173,23 @@ class AgentConfig:
         return Motion(plus(reference.position, own.position), plus(reference.velocity, own.velocity))
 
     def to_values(self) -> dict[str, Any]:
-        """Plain maps, sequences and scalars (MessagePack values), in the order of the declarations."""
+        """Write the slice for another process, host or language.
+
+        Returns:
+            Plain maps, sequences and scalars (MessagePack values), in the order of the declarations.
+        """
         values: dict[str, Any] = msgspec.to_builtins(self)
         return values
 
     @classmethod
     def from_values(cls, values: dict[str, Any]) -> AgentConfig:
-        """The inverse of `to_values`; every value must be of its declared type.
+        """Read a slice.
+
+        Args:
+            values: as `to_values` returns them; every value must be of its declared type.
+
+        Returns:
+            The slice.
 
         Raises:
             ValueError: a value is of another type, or missing within a map.

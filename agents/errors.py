@@ -8,7 +8,12 @@ class AgentError(Exception):
 
 
 class PayloadError(AgentError):
-    """Bytes from the network that are no state message of ours; `cause` is one of `payload.CAUSES`."""
+    """A payload from the network cannot be used.
+
+    Attributes:
+        cause: `length`, `checksum`, `version` or `not_finite`.
+        reason: what was expected and what came.
+    """
 
     def __init__(self, cause: str, reason: str) -> None:
         super().__init__(f"payload refused ({cause}): {reason}")

@@ -44,7 +44,11 @@ class FormationAgent:
     """
 
     def __init__(self, config: AgentConfig) -> None:
-        """Make it of the agent's own slice of the scenario."""
+        """Make the agent.
+
+        Args:
+            config: the agent's own slice of the scenario.
+        """
         self.signals: tuple[Signal, ...] = ()
         self._where: dict[str, tuple[int, slice]] = {}
         self._agent: Agent | None = None
@@ -56,7 +60,14 @@ class FormationAgent:
         self.signals = (*layout.guidance, *layout.control)  # what `decide` returns values for
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
-        """The payloads to every neighbour: own position and velocity."""
+        """Choose what to send to every neighbour, at round ticks.
+
+        Args:
+            nav: own measured state.
+
+        Returns:
+            One payload with the own position [m, NED] and velocity [m/s, NED]; none on a moored vehicle.
+        """
         return () if self._agent is None else self._agent.transmit(by_simulated_time(nav))
 
     def decide(

@@ -9,7 +9,8 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterable
 
-from agents.process import OneAgent, Running, probe_until_answered
+from agents.host_progress import Running
+from agents.process import OneAgent, probe_until_answered
 from netem.errors import MalformedMessage
 from netem.wire.bundles import bundles
 from netem.wire.bus import Bus

@@ -18,11 +18,11 @@ from agents.controllers import BUILT_IN, laws
 from agents.join_file import ENDPOINT, JoinError, JoinFile, NotYetError
 from agents.loop import AgentCore
 from agents.main import begin_life, clock_of
+from netem.clock import Clock
 from netem.errors import BusError, MalformedMessage
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus
+from netem.wire.control import read_map
 from netem.wire.keys import Keys
-from netem.wire.mailbox import read_map
 from netem.wire.messages import End
 from world.errors import PluginError
 from world.plugins.loading import admit

@@ -11,8 +11,9 @@ import msgspec
 from msgspec import Meta
 
 from agents.errors import AgentError
-from netem.files import DamagedFile, ExposedFile, parse_json, read_private, write_whole
+from netem.files import DamagedFile, ExposedFile, parse_json, read_private
 from netem.limits import CONNECTION_FILE
+from netem.whole_file import write_whole
 from netem.wire.credentials import LEASE_MS, Credentials
 from netem.wire.messages import PROTOCOL_VERSION
 
@@ -38,7 +39,7 @@ class _Version(msgspec.Struct):
 
 
 class JoinFile(msgspec.Struct, frozen=True):
-    endpoint: str  # of the run's router, as zenoh writes it; several have commas between them
+    endpoint: str  # where the run's router listens, as zenoh writes it; several have commas between them
     run: Name  # the run's id: its keys begin with fleet/<run>/
     vehicle: Annotated[int, Meta(ge=1)]
     user: Name

@@ -160,7 +160,7 @@ class RealtimeLoop(AgentLoop):
             self._at_ns |= {(d.src, d.seq, d.copy): at_ns for d in inbox.deliveries}
 
     def to_answer(self, navs: Sequence[Nav]) -> list[Nav]:
-        """Of the navs that are there those to answer, oldest first."""
+        """The navs to answer among those that are there, oldest first."""
         newest = navs[-1]
         sends = next((nav for nav in reversed(navs) if nav.tick % self.round_ticks == 0), newest)
         return [newest] if sends is newest else [sends, newest]

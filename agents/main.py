@@ -10,16 +10,19 @@ from typing import Any
 from agents.config import AgentConfig
 from agents.errors import AgentError
 from agents.host_process import HostProcess
+from agents.host_progress import Running
 from agents.loop import AgentCore, AgentLoop, RealtimeLoop
 from agents.make_agent import make_agent
-from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, Running, give_up
+from agents.process import READY_TIMEOUT_S, RETRY_S, AgentProcess, OneAgent, give_up
 from agents.realtime_process import RealtimeAgentProcess
+from netem.clock import Clock
 from netem.errors import BusError
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus
+from netem.wire.control import read_map
 from netem.wire.credentials import Credentials, agent_role, host_role
 from netem.wire.keys import Keys
-from netem.wire.mailbox import Mailbox, end_with_link, read_map
+from netem.wire.link_loss import end_with_link
+from netem.wire.mailbox import Mailbox
 from netem.wire.session import quiet_zenoh
 from netem.wire.vehicle_bus import AgentEnd
 from world.errors import PluginError

@@ -30,11 +30,14 @@ _decode = msgspec.msgpack.Decoder().decode
 
 
 def pack(kind: str, values: Any) -> bytes:
-    """The payload of some plain values: None, bool, int, float, str, bytes, and lists and dicts of them.
+    """Make a payload of plain values.
 
     Args:
         kind: the protocol and the kind of message; 1 to 40 characters, ASCII.
-        values: returned by `unpack`; numbers must be finite.
+        values: None, bool, int, float, str, bytes, and lists and dicts of them; numbers must be finite.
+
+    Returns:
+        The payload, with a checksum; `unpack` gives the values back.
 
     Raises:
         ValueError: the kind is too long, or no ASCII; a number is not finite, or a value is none of these.
@@ -53,7 +56,14 @@ def pack(kind: str, values: Any) -> bytes:
 
 
 def unpack(kind: str, payload: bytes) -> Any:
-    """The values in a payload of this kind.
+    """Read the payload of another vehicle, which may hold anything.
+
+    Args:
+        kind: the protocol and the kind of message that is expected.
+        payload: bytes as they came.
+
+    Returns:
+        The values that `pack` was given; tuples have become lists.
 
     Raises:
         PayloadError: it is of another kind or protocol (cause `version`), damaged (`length`, `checksum`), or holds a

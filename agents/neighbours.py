@@ -31,7 +31,9 @@ from agents.sample import NeighbourState
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3, minus, plus
 
-AHEAD_S = 60.0  # by so much the clock of a neighbour may be ahead of the own one
+# The clock of a neighbour may be ahead of the own one by so much, and its state then counts as new. Otherwise an agent
+# would lose its neighbour as soon as clocks differ by more than a message takes.
+AHEAD_S = 60.0
 _NO_RANGE = (None, None)
 _REFUSED = (*CAUSES, "wrong_sender", "from_future")
 
@@ -59,7 +61,8 @@ class NeighbourTable:
         self._age_cap = round(config.age_cap_s / tick_s) if config.age_cap_s else None
         self._drop_after = round(config.drop_after_s / tick_s) if config.drop_after_s else None
         self._newest: dict[int, StateMessage | None] = {n.id: None for n in self._neighbours}
-        self._ranges: dict[int, tuple[float, float]] = {}  # with the newest state: range and standard deviation [m]
+        # Range and standard deviation that came with the newest state [m].
+        self._ranges: dict[int, tuple[float, float]] = {}
         self.counters = dict.fromkeys(("accepted", "duplicate", "superseded", *_REFUSED), 0)
         self._now = 0  # tick at which `heard` was asked last
         self.rejected = 0  # payloads that were refused so far: damaged, not ours, or not from who the network names
@@ -102,7 +105,7 @@ class NeighbourTable:
                 continue
             position = message.position
             ticks = now - message.sent_tick
-            if ticks < 0:  # by another clock
+            if ticks < 0:  # the sender's clock is ahead
                 ticks = 0
             if self._drop_after is not None and ticks > self._drop_after:
                 continue

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from netem.wire.messages import Delivery, Nav, Uint
+from netem.wire.fields import Uint
+from netem.wire.messages import Delivery, Nav
 
 
 class OwnNav(Nav, frozen=True):

@@ -23,7 +23,9 @@ from agents.errors import PayloadError
 from world.vectors import Vec3
 
 VERSION = 1
-MAX_SUM = 1e9  # m and m/s, added up; with more the squares in a law of the receiver may overflow
+# The largest sum of all numbers [m, m/s]. 10^155 is finite, but its square is not: this bound keeps each sum and square
+# finite. The codec has the bound, and not each law, so it protects the laws of users, too.
+MAX_SUM = 1e9
 CAUSES = ("length", "checksum", "version", "not_finite")
 
 _BODY = Struct("<BHQ6d")

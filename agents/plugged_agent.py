@@ -16,7 +16,7 @@ from netem.wire.messages import Delivery, Nav
 from world.plugins.fence import shown
 from world.vectors import Vec3
 
-MAX_PAYLOAD_BYTES = 40_000  # of one round; the transport carries 48 kB in a message
+MAX_PAYLOAD_BYTES = 40_000  # the payloads of one round; the transport carries 48 kB in a message
 
 
 class PluggedAgent(Brain):

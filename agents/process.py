@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import logging
-import mmap
 import sys
 import traceback
 from collections.abc import Callable
 from functools import cached_property
-from pathlib import Path
 from time import monotonic, sleep
 from typing import NoReturn
 
@@ -26,41 +24,13 @@ from netem.wire.messages import PROTOCOL_VERSION, End, Hello, Inbox, Message, Na
 from netem.wire.queues import PutQueue, Stamped
 from netem.wire.vehicle_bus import AgentEnd
 
-# --- running: which of its agents a host is computing, told to the console through a file that both map
-# A law that hangs, or ends the process, can tell nobody any more; what is in the file stays.
-
-
-_BYTES = 4
-
-
-class Running:
-    """The host's side: it writes a number before each sample, which costs less than 0.1 us."""
-
-    def __init__(self, path: Path) -> None:
-        """Make the file. Raises OSError: it cannot be made."""
-        path.write_bytes(bytes(_BYTES))
-        with path.open("r+b") as file:
-            self._vehicle = memoryview(mmap.mmap(file.fileno(), _BYTES)).cast("I")
-
-    def at(self, vehicle: int) -> None:
-        """The agent of this vehicle computes from now on; 0: none."""
-        self._vehicle[0] = vehicle
-
-
-def running(path: Path) -> int:
-    """The vehicle whose agent a host is computing, or computed when it ended. 0: no vehicle yet."""
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return 0
-    return memoryview(data).cast("I")[0] if len(data) == _BYTES else 0
-
-
 log = logging.getLogger(__name__)
 
 READY_TIMEOUT_S = 30.0
-RETRY_S = 0.02  # and twice as long each further time: the probes of a thousand agents would fill all queues
-RAREST_S = 5.0  # between two probes
+# The first wait for an answer to a probe. Each further one is twice as long, or the probes of a thousand agents would
+# fill all queues.
+RETRY_S = 0.02
+RAREST_S = 5.0  # the longest time between two probes
 POLLS = 20  # looks at the queues between two probes
 CONTROLLER_FAILED = 70  # exit status: a law failed, and the scenario says that the run shall end
 
@@ -73,7 +43,7 @@ class OneAgent:
 
     @cached_property
     def shell(self) -> Mailbox:
-        """For notes: most agents never write one."""
+        """The mailbox for notes, made at the first: most agents never write one."""
         role = agent_role(self.vehicle)
         return Mailbox(self._bus, role, self._keys.note(role))
 

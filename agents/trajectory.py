@@ -27,10 +27,10 @@ STRAIGHT = 1e-9
 
 
 class Motion(NamedTuple):
-    """A position [m, NED] and a velocity [m/s, NED]."""
+    """Where to be, and how to move."""
 
-    position: Vec3
-    velocity: Vec3
+    position: Vec3  # m, NED
+    velocity: Vec3  # m/s over ground, NED
 
 
 @dataclass(frozen=True, slots=True)

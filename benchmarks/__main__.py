@@ -17,7 +17,7 @@ from msgspec import Struct
 from benchmarks.figures import Comparison, compare, read, show_comparison, show_figures
 from fleet.cli.types import Whole, numbers
 from fleet.errors import FleetError
-from fleet.terminal.table import stdout
+from fleet.terminal.width import stdout
 
 if TYPE_CHECKING:
     from benchmarks.scale import ScaleRow

@@ -7,7 +7,8 @@ from contextlib import closing
 from statistics import median
 
 from fleet.errors import FleetError
-from fleet.processes.children import Children, RunFolder
+from fleet.processes.children import Children
+from fleet.processes.run_folder import RunFolder
 from netem.private_folder import PrivateFolder
 from netem.wire.bus import Bus
 from netem.wire.credentials import Credentials, agent_role, generate

@@ -24,7 +24,7 @@ from stack import until_open  # the script beside this one
 
 from fleet.addons.studies.psychometric import PsychometricCurve
 from fleet.addons.studies.statistics import pass_rate
-from fleet.processes.limits import free_port
+from fleet.processes.ports import free_port
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "election_stack"
 MEMBERS, LEASE_S, FROM_S, TO_S, READY_S = 5, 1.0, 5.0, 20.0, 4.0

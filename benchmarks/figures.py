@@ -24,8 +24,7 @@ import msgspec
 from msgspec import Struct, field
 from rich.console import Console as Terminal
 
-from fleet.cli.about import processor
-from fleet.cores import cores
+from fleet.cores import cores, processor
 from fleet.errors import FleetError
 from fleet.terminal.table import columns, show
 

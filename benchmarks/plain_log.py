@@ -9,7 +9,8 @@ from struct import pack
 
 from mcap.writer import CompressionType, Writer
 
-from fleet.logs.mcap_writer import CHUNK_BYTES, Batch
+from fleet.logs.batch import Batch
+from fleet.logs.mcap_writer import CHUNK_BYTES
 from fleet.logs.schemas import Schema
 from fleet.recorder.log_file import SECOND_NS
 

@@ -29,7 +29,7 @@ from fleet.addons.studies.engine import local_engine
 from fleet.addons.studies.modules import modules_of
 from fleet.addons.studies.search import search
 from fleet.addons.studies.shrink import Shrinker
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario, timeline_lines
 

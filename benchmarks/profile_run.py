@@ -34,7 +34,8 @@ import fleet
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.scenario.loading import load_scenario
-from fleet.terminal.table import columns, show, stdout
+from fleet.terminal.table import columns, show
+from fleet.terminal.width import stdout
 
 RATE = 100  # samples per second
 SAMPLE_S = 0.1  # between two looks at the processes' times

@@ -23,7 +23,8 @@ import psutil
 from msgspec import Meta, Struct
 from rich.console import Console as Terminal
 
-from fleet.terminal.table import columns, show, stdout
+from fleet.terminal.table import columns, show
+from fleet.terminal.width import stdout
 
 SAMPLE_S = 0.5
 WARM = 0.25  # share of the run after which memory is compared with the end

@@ -29,7 +29,7 @@ from typing import Any
 
 import click
 
-from fleet.processes.limits import free_port
+from fleet.processes.ports import free_port
 
 # A program: `send PORT KEY TOPICS RATE BYTES SECONDS BEGIN` or `hear PORT KEYS SECONDS BEGIN`; it prints JSON.
 PROGRAM = """

@@ -26,7 +26,7 @@ from soak import Soak, result_of
 
 from agents.join_file import JoinFile
 from fleet.cli.types import numbers
-from fleet.terminal.table import stdout
+from fleet.terminal.width import stdout
 from netem.errors import BusError
 from netem.wire.bus import Bus
 from netem.wire.codec import encode

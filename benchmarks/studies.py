@@ -23,7 +23,7 @@ from rich.console import Console as Terminal
 from benchmarks.figures import show_rows
 from fleet.addons.studies.engine import LocalEngine
 from fleet.addons.studies.one_run import Task, make_run, scenario_of
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.processes.workers import Workers
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.overrides import SET, Override

@@ -18,14 +18,14 @@ if TYPE_CHECKING:  # for type checkers alone: at run time the add-ons themselves
     from fleet.addons.studies.study import open_study as open_study
     from fleet.addons.studies.study import sweep as sweep
     from fleet.execution.stepped_run import Run as Run
-    from fleet.execution.stepped_run import run as run
+    from fleet.execution.whole_run import run as run
     from fleet.logs.open_log import Log as Log
     from fleet.logs.open_log import open_log as open_log
     from fleet.result.result import Result as Result
 
 _OFFERED = {
     "Result": "fleet.result.result",
-    "run": "fleet.execution.stepped_run",
+    "run": "fleet.execution.whole_run",
     "Run": "fleet.execution.stepped_run",
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",

@@ -1,4 +1,4 @@
-"""`fleet` and `python -m fleet`."""
+"""`fleet` and `python -m fleet`: the command line, if its packages are those of this distribution."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ from fleet.terminal.output import OutputError, give_up_output, open_streams
 COLLECT_EVERY = 200_000
 CANNOT_RUN = 3  # the exit status when packages of ours were replaced, or cannot be loaded
 READER_GONE = 128 + signal.SIGPIPE  # what a shell shows for `seq 99999 | head -1`
+OURS = "uuv-fleet"
+# The packages that other distributions may replace, and how the docstrings of ours begin.
+_BEGINS = {"agents": b'"""Agents: ', "world": b'"""The sea: ', "netem": b'"""The network: '}
+_DO = f"install {OURS} into an environment of its own: uv tool install, or pipx install"
 
 
 def main() -> None:
@@ -42,7 +46,7 @@ def main() -> None:
         if not error.reader_gone:
             sys.stderr.write(f"fleet: {error}\n")
         give_up_output()
-    gc.freeze()  # or Python's end, which collects again, would walk through everything for a tenth of a second
+    gc.freeze()  # otherwise Python's end would collect again, and walk through everything for a tenth of a second
     # From here on Python would print what a handler raises.
     for number in ENDING:
         if signal.getsignal(number) is _interrupt:
@@ -96,18 +100,14 @@ def _interrupt(number: int, _: FrameType | None) -> None:
     raise ending(number)
 
 
-# --- Whether the packages `agents`, `world` and `netem` are those of this distribution: others use these names, too.
-# A distribution that brings a package of the same name overwrites files of ours, or is found before ours. Only the
-# first line of each package is read, so that nothing of somebody else's runs.
-
-OURS = "uuv-fleet"
-# How the __init__.py of each begins: their docstrings.
-_BEGINS = {"agents": b'"""Agents: ', "world": b'"""The sea: ', "netem": b'"""The network: '}
-_DO = f"install {OURS} into an environment of its own: uv tool install, or pipx install"
-
-
 def foreign() -> str:
     """Look for a package that another distribution has replaced.
+
+    A distribution that brings a package of the same name, as `agents` 1.4.0 and `world` 5.2.1 of PyPI do, overwrites
+    files of ours, or is found before ours. Only the first line of each package is read, so that no foreign code runs.
+
+    To install ours below one namespace was rejected: the names are in every protocol of a user, in the texts
+    `module:Class` of scenarios and logs, and in the commands that start processes.
 
     Returns:
         One line that names the package, its distribution and the remedy; "" if all packages are ours.
@@ -130,7 +130,7 @@ def damaged(error: ImportError) -> str:
 
 
 def _begins(spec: ModuleSpec, begin: bytes) -> bool:
-    loader: Any = spec.loader  # of a file or of a zip file
+    loader: Any = spec.loader  # the loader of a file or of a zip file
     if spec.origin is None or not hasattr(loader, "get_data"):
         return False  # a folder without __init__.py, for instance
     if not spec.origin.endswith(".py"):

@@ -24,7 +24,7 @@ class Verb(NamedTuple):
     """One command of `fleet`."""
 
     command: str  # `module:name` of a click command, such as `fleet.cli.declare.command` makes
-    help: str  # its line in `fleet --help`
+    help: str  # the line of the command in `fleet --help`
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,7 +56,12 @@ class AddOn:
 
 
 class Installed(NamedTuple):
-    """The add-ons of this environment by name, and why others are left out."""
+    """The add-ons of this environment.
+
+    Attributes:
+        addons: by the name of their entry point.
+        left_out: why others are left out, by their names.
+    """
 
     addons: Mapping[str, AddOn]
     left_out: Mapping[str, str]
@@ -82,13 +87,34 @@ def installed() -> Installed:
 
 
 def load(place: str) -> Any:
-    """What stands at `module:name`. Raises ImportError, AttributeError: nothing does."""
+    """What stands at a place.
+
+    Args:
+        place: `module:name`.
+
+    Returns:
+        The object of this name.
+
+    Raises:
+        ImportError: there is no such module, or it cannot be imported.
+        AttributeError: the module has no such name.
+    """
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
 
 
 @cache
 def parts(kind: str) -> tuple[Any, ...]:
-    """What all add-ons offer of a kind, in the order of their names. `kind`: a field of `AddOn` that has places."""
+    """What all add-ons offer of a kind.
+
+    Args:
+        kind: a field of `AddOn` that has places, such as `exporters`.
+
+    Returns:
+        The objects at these places, in the order of the add-ons' names.
+
+    Raises:
+        ImportError: a module of an add-on cannot be imported.
+    """
     assert kind in {each.name for each in fields(AddOn)}, kind
     return tuple(load(place) for addon in installed().addons.values() for place in getattr(addon, kind))

@@ -6,7 +6,7 @@ import os
 from importlib.util import find_spec
 from pathlib import Path
 
-_CORE = "world.dynamics"  # one of them: all are compiled, or none
+_CORE = "world.dynamics"  # one core stands for all: either all are compiled, or none
 _NOTE = Path(__file__).with_name("not_compiled.txt")  # .packaging/build_backend.py writes it into a wheel
 
 
@@ -35,7 +35,7 @@ def hidden_cores() -> str:
     """
     if cores() == "compiled":
         return ""
-    from importlib.metadata import distributions  # which takes longer than the rest of `fleet --help`
+    from importlib.metadata import distributions  # here, because it takes longer than the rest of `fleet --help`
 
     for installed in distributions(name="uuv-fleet"):
         for file in installed.files or ():

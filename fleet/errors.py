@@ -60,7 +60,7 @@ class Problem:
     message: str  # what is wrong: expected against got
     hint: str = ""  # what to do next
     source_line: str = ""
-    key: str = ""  # of the scenario, as `--set` writes it; "" where the text has no keys yet
+    key: str = ""  # key of the scenario, as `--set` writes it; "" where the text has no keys yet
 
     def __str__(self) -> str:
         override = self.file.startswith("--")

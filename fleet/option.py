@@ -42,7 +42,7 @@ class Kind(Enum):
 class Option(NamedTuple):
     """The words about a field, and its names."""
 
-    help: str  # of `--help` and of Python's `help`
+    help: str  # text for `--help` and for Python's `help`
     metavar: str | None = None  # the word for the value, if the type of the field has none
     flag: str | None = ""  # several with spaces between; "": `--` and the name of the field; None: no option
     keyword: str = ""  # in Python; "": the name of the field
@@ -65,11 +65,11 @@ class OptionField(NamedTuple):
 
     name: str
     shape: Any  # `dict`: texts by key; `list`, `tuple`: several values; else the type of its one value, or Literal
-    kind: Kind  # of its texts
+    kind: Kind  # the kind of its texts
     default: Any
     option: Option
     limits: tuple[int | None, int | None]
-    words: tuple[str, ...]  # of a Literal
+    words: tuple[str, ...]  # the words of a Literal
     about: tuple[Any, ...]  # all else that stands beside the type
     item: Any  # the annotation of one of several values
     reader: str = ""  # the module that reads texts of the kinds that no type of the command line reads
@@ -86,7 +86,16 @@ class OptionField(NamedTuple):
 
 
 def declared(name: str, annotation: Any, default: Any = NEEDED) -> OptionField:
-    """A field as its annotation declares it."""
+    """A field, or a parameter of a function, as its annotation declares it.
+
+    Args:
+        name: of the field.
+        annotation: its type, `Annotated` with an `Option`, a `Kind` or limits.
+        default: its default; `NEEDED`: it has none.
+
+    Returns:
+        All that the command line, the keywords and the keys of files follow from.
+    """
     shape, about = unwrapped(annotation)
     return OptionField(
         name,
@@ -102,7 +111,14 @@ def declared(name: str, annotation: Any, default: Any = NEEDED) -> OptionField:
 
 
 def fields(kind: type) -> dict[str, OptionField]:
-    """The fields of a dataclass or a struct that have an `Option`. One that only the type checker can read has none."""
+    """The fields of a dataclass or a struct that have an `Option`.
+
+    Args:
+        kind: the dataclass or the struct. A type in it that only the type checker imports stands for any type.
+
+    Returns:
+        The fields by name, those of base classes first.
+    """
     found = {}
     for owner in reversed(kind.__mro__):
         names = _Names(vars(sys.modules[owner.__module__]))
@@ -127,7 +143,15 @@ def holds_fields(kind: Any) -> bool:
 
 
 def default_of(kind: Any, name: str) -> Any:
-    """The default of a field."""
+    """The default of a field.
+
+    Args:
+        kind: the dataclass or the struct.
+        name: of the field.
+
+    Returns:
+        The default; `NEEDED`: the field has none.
+    """
     if is_dataclass(kind):
         field = kind.__dataclass_fields__[name]
         made = field.default if field.default_factory is MISSING else field.default_factory()
@@ -140,7 +164,14 @@ def default_of(kind: Any, name: str) -> Any:
 
 
 def unwrapped(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
-    """The type in an annotation, without `| None`, and what stands beside it."""
+    """The type in an annotation.
+
+    Args:
+        annotation: a type, `Annotated` or not.
+
+    Returns:
+        The type without `| None`, and what stands beside it in `Annotated`.
+    """
     about: tuple[Any, ...] = ()
     while True:
         if get_origin(annotation) is Annotated:

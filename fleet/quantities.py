@@ -278,7 +278,17 @@ def _short(text: str) -> str:
 
 
 def vehicle_numbers(text: str) -> list[int]:
-    """The vehicles that `2-4, 7` stands for, in order. Raises QuantityError."""
+    """The vehicles that a text names.
+
+    Args:
+        text: numbers and ranges, such as `2-4, 7`.
+
+    Returns:
+        Their numbers, in the order of the text.
+
+    Raises:
+        QuantityError: it is no such text, or names none.
+    """
     numbers: list[int] = []
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part, re.ASCII)

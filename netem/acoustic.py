@@ -45,11 +45,12 @@ from bisect import insort
 from collections.abc import Sequence
 
 from netem.air import Air
+from netem.cause import Cause
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults
 from netem.link_trace import TRY
-from netem.medium import Links, MediumRound
+from netem.links import Links
+from netem.medium import MediumRound
 from netem.medium_access import Access
 from netem.ranges import Query, make_ranges
 from netem.station import ANSWER, Answer, QueuedPayload, Reception, Station, Transfer
@@ -69,11 +70,12 @@ class AcousticChannel:
         self._acoustic = config.acoustic
         self._longest = {i: config.acoustic.longest(config.tick_ns, i) for i in config.vehicles}
         self._stations = {i: Station(i) for i in sorted(config.vehicles)}
-        self._transfers: dict[int, Transfer] = {}  # of modems with `tries`
-        self._answers: list[Answer] = []  # acknowledgements that are due
+        # By sender. Only modems with `tries` have transfers.
+        self._transfers: dict[int, Transfer] = {}
+        self._answers: list[Answer] = []  # acknowledgements that are not sent yet
         self._access = Access(config, config.acoustic)
         self._air = Air(config.acoustic, config.seed, config.tick_ns)
-        self._receptions: list[Reception] = []  # those that have not ended
+        self._receptions: list[Reception] = []  # receptions that have not ended
         self._asks = config.acoustic.ranging is not None and config.acoustic.ranging.method == "two-way"
         self._ranges = make_ranges(config, self._air, links.receivers)
 
@@ -130,8 +132,6 @@ class AcousticChannel:
         ranged = {(kept.packet.src, kept.packet.seq) for kept in self._ranges.kept}
         return unsent | ranged | {(reception.src, reception.seq) for reception in self._receptions}
 
-    # ---------------------------------------------------------------------------------- the modems
-
     def _accept(self, tick: int, src: int, payload: bytes, faults: ActiveFaults) -> None:
         sent = self._enter(tick, src, payload, faults.slow.get(src, 0))
         if len(payload) > self._longest[src]:
@@ -174,7 +174,7 @@ class AcousticChannel:
             self._schedule(station, joins.ready_tick)
         if station.start_tick is None or station.start_tick > now:
             return
-        if station.free_tick > now:  # it is answering somebody
+        if station.free_tick > now:  # the modem is answering another one
             station.start_tick = self._access.next_start(station, station.free_tick)
         elif self._acoustic.mac == "csma" and (idle := self._air.idle_tick(src, now)) > now:
             station.start_tick = self._access.next_start(station, idle)
@@ -230,7 +230,7 @@ class AcousticChannel:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 
     def _failed(self, station: Station, transfer: Transfer, now: int) -> None:
-        """Nobody has answered in time: try again, or give up this neighbour."""
+        """No answer has come in time: try again, or give up this neighbour."""
         if transfer.tried < self._acoustic.modem_of(station.vehicle).tries:
             station.start_tick = self._access.next_start(station, max(now, station.free_tick))
         else:
@@ -267,8 +267,6 @@ class AcousticChannel:
                     Reception(begin, begin + airtime, start, range_m, 0, src, dst, seq, kind, start, bytes(size), False)
                 )
 
-    # ---------------------------------------------------------------------------------- the channel
-
     def _transmit(
         self, src: int, start: int, sent: QueuedPayload, transfer: Transfer | None, faults: ActiveFaults
     ) -> None:
@@ -284,7 +282,7 @@ class AcousticChannel:
             whole = Reception(
                 begin, end, start, range_m or 0.0, 0, src, dst, sent.seq, 0, sent.sent_tick, sent.payload, False
             )
-            if transfer is not None:  # its fate is known before the modem gives up
+            if transfer is not None:  # the fate of a try is known before the modem gives up
                 transfer.deadline_tick = max(transfer.deadline_tick, self._end_tick(whole))
             if link in faults.cut:
                 self._lose(whole, start, faults.cut[link])

@@ -19,8 +19,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
+from netem.cause import Cause
 from netem.condition import Link
-from netem.fault_kinds import Cause
 from netem.wire.messages import Fate
 
 
@@ -66,14 +66,22 @@ class Ages:
     """The ages on all links, from final fates in the order of the journal."""
 
     def __init__(self, links: Iterable[Link], *, from_first_packet: bool = False) -> None:
-        """`from_first_packet`: the age of a link counts from its first packet, and not from tick 0, because programs of
-        others need not send over each link, or from the beginning.
+        """Begin at tick 0.
+
+        Args:
+            links: all links of the run.
+            from_first_packet: the age of a link counts from its first packet, and not from tick 0, because programs of
+                others need not send over each link, or from the beginning.
         """
         self.links: dict[Link, InformationAge] = {link: InformationAge() for link in sorted(links)}
         self._silent = set(self.links) if from_first_packet else set()  # links whose age does not count yet
 
     def settle(self, fate: Fate) -> None:
-        """Take a final fate. Raises KeyError: it names a link that does not exist."""
+        """Take a final fate.
+
+        Raises:
+            KeyError: it names a link that does not exist.
+        """
         if self._silent and (link := (fate.src, fate.dst)) in self._silent:
             self._silent.discard(link)
             self.links[link] = InformationAge(fate.sent_tick, fate.sent_tick, fate.sent_tick)
@@ -97,7 +105,15 @@ class Ages:
         return [link for link in self.links if link not in self._silent]
 
     def oldest(self, after: int, links: Iterable[Link]) -> tuple[int, Link, int] | None:
-        """The largest age on some links from a tick on: (age, link, tick); None if no tick was counted there."""
+        """Find the largest age.
+
+        Args:
+            after: ticks before it do not count.
+            links: those that are looked at.
+
+        Returns:
+            The age [ticks], its link and the last tick that had it; None if no tick was counted there.
+        """
         found: tuple[int, Link, int] | None = None
         for link in links:
             peak = self.links[link].oldest(after)
@@ -130,7 +146,7 @@ def _row(total: int, ticks: int, edges: Counter[int], tick_ns: int) -> dict[str,
 
 
 def percentile(edges: Counter[int], ticks: int, percent: int) -> int:
-    """The least age that at least so many percent of the ticks did not exceed (the nearest rank)."""
+    """The least age that at least `percent` of the ticks did not exceed (the nearest rank)."""
     rank = -(-ticks * percent // 100)
     begin = below = often = 0
     for edge, change in sorted(edges.items()):

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from math import sqrt
 
-from netem import fading
+from netem.cause import Cause
 from netem.draws import uniform
-from netem.fault_kinds import Cause
 from netem.medium import Place
 from netem.modem import AcousticConfig
-from netem.propagation import decibels, power
+from netem.propagation import decibels, fading_gain_db, power
 from netem.station import ANSWER, REPLY, REQUEST, Burst, Reception
 
 SNR, CAPTURE = "snr", "capture"  # purposes of draws
-_SHORT = {ANSWER: "acknowledgement", REQUEST: "range request", REPLY: "range reply"}  # in the place of SNR
+# Short packets have draws of their own, in the place of SNR.
+_SHORT = {ANSWER: "acknowledgement", REQUEST: "range request", REPLY: "range reply"}
 
 
 class Air:
@@ -79,7 +79,7 @@ class Air:
             return 0.0
         at = start_tick * self._tick_ns
         seed = self._seed
-        return fading.gain_db(seed, src, dst, at, acoustic.shadowing, acoustic.shadowing_ns, acoustic.rician)
+        return fading_gain_db(seed, src, dst, at, acoustic.shadowing, acoustic.shadowing_ns, acoustic.rician)
 
     def forget(self, before_ns: int) -> None:
         """Delete the transmissions that everybody has heard before a time [ns]."""

@@ -24,10 +24,10 @@ class NetemConfig:
     vehicles: tuple[int, ...]
     links: tuple[Link, ...]  # (j, i): j's payloads reach i, i.e. a_ij > 0
     conditions: dict[Link, Condition] = field(default_factory=dict)
-    faults: tuple[NetFault, ...] = ()  # in the order in which they begin
+    faults: tuple[NetFault, ...] = ()  # faults in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent: restarts count incarnations
     ideal: bool = False  # zero latency: due in the sending tick itself (in-process only)
-    acoustic: AcousticConfig | None = None  # in the water; None: links of their own
-    changing: dict[Link, LinkStates | LinkTrace] = field(default_factory=dict)  # in place of a condition
-    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set
+    acoustic: AcousticConfig | None = None  # the channel in the water; None: each link is on its own
+    changing: dict[Link, LinkStates | LinkTrace] = field(default_factory=dict)  # conditions that change by themselves
+    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # clocks of the vehicles for which one is set
     radios: dict[int, Condition] = field(default_factory=dict)  # rate and limit of all that a vehicle sends

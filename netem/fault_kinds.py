@@ -5,38 +5,6 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Literal
 
-# --- causes
-# The fates of a packet: the causes of a loss, delivery, and "in flight" at the end of the run.
-
-
-class Cause(StrEnum):
-    """The fate of a packet: delivered, in flight when the run ended, or the cause of its loss."""
-
-    # The causes of a loss, in the order of the ledger's columns.
-    LOSS = "loss"
-    DOWN = "down"
-    PARTITION = "partition"
-    MUTE = "mute"
-    QUEUE = "queue"
-    # Of the acoustic channel only.
-    REPLACED = "replaced"
-    MTU = "mtu"
-    RANGE = "range"
-    HALF_DUPLEX = "half duplex"
-    COLLISION = "collision"
-    SNR = "snr"
-    DEAD_SENDER = "dead sender"
-    # Of every network again.
-    DEAF = "deaf"
-    DEAD_RECEIVER = "dead receiver"
-    RECEIVER = "receiver"  # of `fleet netem`: a program did not take it
-
-    DELIVERED = "delivered"
-    IN_FLIGHT = "in flight"
-
-
-LOSSES = tuple(cause for cause in Cause if cause not in (Cause.DELIVERED, Cause.IN_FLIGHT))
-
 NetFaultKind = Literal["link", "down", "up", "partition", "mute", "deaf", "slow", "clock", "hold", "duplicate"]
 
 

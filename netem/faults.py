@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import structs
 
+from netem.cause import Cause
 from netem.condition import Condition, Link, condition_from_values, condition_values
 from netem.errors import MalformedMessage
-from netem.fault_kinds import Cause, NetFaultKind
+from netem.fault_kinds import NetFaultKind
 from netem.wire.messages import TimedFault
 
 
@@ -21,11 +22,11 @@ class NetFault(TimedFault, frozen=True):
     """A fault of the network."""
 
     kind: NetFaultKind
-    links: tuple[Link, ...] = ()  # of link, down, up, partition, hold, duplicate
-    vehicles: tuple[int, ...] = ()  # of mute, deaf, slow, clock
-    condition: Condition | None = None  # of link
-    ticks: int = 0  # of slow: how late; of duplicate: how much later the copy comes
-    values: tuple[float, ...] = ()  # of clock: step [s] and drift [s/s]; of hold: 1 if the order is reversed
+    links: tuple[Link, ...] = ()  # links of a link, down, up, partition, hold or duplicate
+    vehicles: tuple[int, ...] = ()  # vehicles of a mute, deaf, slow or clock
+    condition: Condition | None = None  # condition of a link
+    ticks: int = 0  # slow: how late packets are; duplicate: how much later the copy comes
+    values: tuple[float, ...] = ()  # clock: step [s] and drift [s/s]; hold: 1 if the order is reversed
 
 
 _CONDITION = NetFault.__struct_fields__.index("condition")
@@ -67,22 +68,29 @@ def read_faults(values: Any) -> tuple[NetFault, ...]:
 class ActiveFaults(NamedTuple):
     """The combined effect of the faults that are active at a tick."""
 
-    conditions: dict[Link, Condition]  # in place of the link's own
+    conditions: dict[Link, Condition]  # conditions in place of the links' own
     cut: dict[Link, Cause]  # links that lose everything, with the cause
     mute: frozenset[int]
     deaf: frozenset[int]
     up: frozenset[Link]  # links that are up whatever their own condition says
     slow: dict[int, int]  # vehicle -> by how many ticks what it sends is late
     hold: dict[Link, bool]  # links whose packets are kept; true: the last one comes first
-    again: dict[Link, int]  # by how many ticks later a copy of it comes
+    again: dict[Link, int]  # how many ticks later a copy of each packet comes
 
 
 NO_FAULTS = ActiveFaults({}, {}, frozenset(), frozenset(), frozenset(), {}, {}, {})
 
 
 def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
-    """The joint effect of the faults that are active at a tick. `faults`: all faults, ordered by their begin. If two
-    faults contradict each other, the later one applies."""
+    """Add up the faults that are active at a tick. If two contradict each other, the later one applies.
+
+    Args:
+        faults: all faults, ordered by their begin.
+        tick: of simulated time.
+
+    Returns:
+        Their joint effect.
+    """
     active = [fault for fault in faults if fault.active(tick)]
     if not active:
         return NO_FAULTS
@@ -119,7 +127,16 @@ def active_faults(faults: tuple[NetFault, ...], tick: int) -> ActiveFaults:
 
 
 def release_tick(faults: tuple[NetFault, ...], link: Link, tick: int) -> int | None:
-    """The first tick, from `tick` on, at which no fault holds the packets of a link. None: one lasts to the end."""
+    """Look when the packets of a link go on.
+
+    Args:
+        faults: all faults, ordered by their begin.
+        link: that holds its packets.
+        tick: from which on.
+
+    Returns:
+        The first tick at which no fault holds packets of the link; None: a fault lasts to the end.
+    """
     holds = [fault for fault in faults if fault.kind == "hold" and link in fault.links]
     while over := [fault.end for fault in holds if fault.active(tick)]:
         if None in over:

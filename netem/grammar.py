@@ -1,6 +1,4 @@
-"""The text form of link conditions and of link selectors.
-
-Conditions are written in the grammar of Linux tc-netem (tc-netem(8)):
+"""The text form of link conditions, which are written in the grammar of Linux tc-netem (tc-netem(8)):
 
     CONDITION    := { limit PACKETS | DELAY | LOSS | DUPLICATE | CORRUPT | REORDER | RATE | seed N | down } ...
     DELAY        := delay TIME [ JITTER [ CORRELATION ] ] [ distribution uniform|normal|pareto|paretonormal ]
@@ -17,73 +15,19 @@ Conditions are written in the grammar of Linux tc-netem (tc-netem(8)):
 Here units are required. tc reads a TIME without a unit as microseconds and a PERCENT without a sign as percent. If you
 write 200 instead of "200 ms", tc gives no message. `down` is not part of tc-netem. `slot` and `ecn` of tc-netem are
 refused by name.
-
-Selectors name directed links. An arrow points in the direction of the payload (`netem.grammar` reads them):
-
-    *        every link          1->*  all that vehicle 1 sends
-    1->2     1's payloads to 2   *->2  all that vehicle 2 receives   1<->2   1->2 and 2->1
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
-from netem.condition import DEFAULT_LIMIT, Condition, FourState, GilbertElliott, Link
+from netem.condition import DEFAULT_LIMIT, Condition, FourState, GilbertElliott
 from netem.errors import TextError
 from netem.parsing import LONGEST_NUMBER, NUMBER, exact_number, nearest, quoted
-
-# --- selectors
-# Link selectors: a text for a set of directed links. An arrow points in the direction of the payload.
-
-
-@dataclass(frozen=True, slots=True)
-class Selector:
-    """A set of directed links: from `src` to `dst` (None: any vehicle), and back if `both`."""
-
-    src: int | None
-    dst: int | None
-    both: bool = False
-
-    def __str__(self) -> str:
-        if self.src is None and self.dst is None:
-            return "*"
-        side = ["*" if end is None else str(end) for end in (self.src, self.dst)]
-        return side[0] + ("<->" if self.both else "->") + side[1]
-
-    def matches(self, link: Link) -> bool:
-        """Whether a link is in the set."""
-        return self._one_way(link) or (self.both and self._one_way((link[1], link[0])))
-
-    def _one_way(self, link: Link) -> bool:
-        return self.src in (None, link[0]) and self.dst in (None, link[1])
-
-
-_SELECTOR = re.compile(r"\s*(\*|\d{1,9})\s*(<?->)\s*(\*|\d{1,9})\s*", re.ASCII)
-
-
-def parse_selector(text: str) -> Selector:
-    """The links that `text` names. Raises TextError: the text is no selector."""
-    if text.strip() == "*":
-        return Selector(None, None)
-    match = _SELECTOR.fullmatch(text)
-    if match is None:
-        raise TextError(f'{quoted(text)} is no link: write "*", "1->2", "1<->2", "1->*" or "*->2"')
-    src, arrow, dst = match.groups()
-    if src == dst and src != "*":
-        raise TextError(f"vehicle {src} has no link to itself")
-    ends = [None if side == "*" else int(side) for side in (src, dst)]
-    return Selector(ends[0], ends[1], arrow == "<->" and ends != [None, None])
-
-
-def select(selector: Selector, links: Sequence[Link]) -> tuple[Link, ...]:
-    """Those of `links` that the selector names, in the order given."""
-    return tuple(link for link in links if selector.matches(link))
-
 
 _VALUE = re.compile(rf"({NUMBER.pattern})\s*([^\W\d_]+|%)?(?=\s|$)", re.ASCII)
 _WORD = re.compile(r"\S+")

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from netem.cause import LOSSES, Cause
 from netem.condition import Link
-from netem.fault_kinds import LOSSES, Cause
 from netem.wire.messages import Fate
 
 Count = Annotated[int, Meta(ge=0, le=2**53)]
@@ -62,8 +62,12 @@ class Ledger:
         account.duplicated += duplicated
 
     def settle(self, fates: Iterable[Fate]) -> None:
-        """Count final fates. Raises KeyError: a fate names a link that does not exist; ValueError: a fate's cause is
-        not a declared one."""
+        """Count final fates.
+
+        Raises:
+            KeyError: a fate names a link that does not exist.
+            ValueError: the cause of a fate is not a declared one.
+        """
         for fate in fates:
             account = self.accounts[(fate.src, fate.dst)]
             if fate.cause == Cause.DELIVERED:

@@ -16,7 +16,7 @@ class Limit(NamedTuple):
     bytes: int = 0
     items: int = 0
     counted: str = ""  # what `items` is the number of
-    depth: int = 0  # of things within each other
+    depth: int = 0  # how many things may lie within each other
 
 
 # After aliases: ten lines of aliases to aliases can stand for 10^10 values.
@@ -46,7 +46,9 @@ TRUSTED = Limit("list of laws that you have run", 50_000_000, 10_000, "lines tha
 FMU = Limit("FMU, unpacked", 1 << 30, 10_000, "files")
 FMU_DESCRIPTION = Limit("modelDescription.xml", 32 << 20, 2_000_000, "elements", 64)
 
-# Measured: 49,120 bytes pass through zenoh's Unix sockets with our settings, 49,152 do not.
+# Zenoh's low-latency transport cannot fragment, and loses longer messages silently. Measured: 49,120 bytes pass through
+# its Unix sockets with our settings, 49,152 do not. Frames, reports and answers to queries travel in parts. A longer
+# put raises an error.
 WIRE_MESSAGE = Limit("message between processes of a run", 48_000)
 LONGEST_DATAGRAM = Limit("datagram of a program", 65_535)
 LINK_UNDER_WAY = Limit("packets under way in one link of `fleet netem`", 64 << 20, 10_000, "messages in fragments")

@@ -17,7 +17,7 @@ class LinkPreset(Struct, frozen=True, forbid_unknown_fields=True):
 
     title: str
     condition: str
-    sources: dict[str, str]  # by the word of the condition
+    sources: dict[str, str]  # where each number is from, by the word of the condition
 
     def parsed(self) -> Condition:
         """The condition."""

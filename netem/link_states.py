@@ -13,6 +13,9 @@ Loss, delay and rate change together, because they belong to one condition.
 The chain starts with a state drawn from pi. An exponential time has no memory, so what is left of the first state is
 distributed as a whole one, and the chain is stationary from the start. The n-th state and its time are draws with the
 key (link, n): what a link is at a time depends neither on its packets nor on those of others.
+
+A run that goes on keeps nothing of the states. It counts again from the start, which takes 8 us per transition. A mean
+below one tick is refused, which bounds the number of transitions.
 """
 
 from __future__ import annotations
@@ -74,7 +77,7 @@ class StateProcess:
         self._key = packed(seed, *(states.shared or link))  # the beginning of the key of all draws
         prefix = SHARED if states.shared else ""
         self._of_state, self._of_stay = prefix + STATE, prefix + STAY
-        self._begin_ns = self._end_ns = 0  # of the state that is known
+        self._begin_ns = self._end_ns = 0  # when the state that is known begins and ends
         self._restart()
 
     def state(self, at_ns: int) -> int:

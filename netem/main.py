@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from netem.clock import Clock
 from netem.config import NetemConfig
 from netem.process import NetemProcess
 from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus
 from netem.wire.credentials import Credentials, Members
 from netem.wire.keys import Keys
-from netem.wire.mailbox import end_with_link
+from netem.wire.link_loss import end_with_link
 from netem.wire.session import quiet_zenoh
 
 

@@ -2,35 +2,12 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Literal
 
 from netem import propagation
-
-# --- curve
-# A quantity that was measured at some points, and is a straight line between them.
-
-
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """Points (x, y), x ascending: y is linear between two points, and constant before the first and after the last."""
-
-    points: tuple[tuple[float, float], ...]
-
-    def at(self, x: float) -> float:
-        points = self.points
-        after = bisect_left(points, x, key=lambda point: point[0])
-        if after == 0:
-            return points[0][1]
-        if after == len(points):
-            return points[-1][1]
-        (x0, y0), (x1, y1) = points[after - 1], points[after]
-        return y0 + (y1 - y0) * (x - x0) / (x1 - x0)
-
-
-# --- ranging
-# How modems measure ranges, as configured; `netem.ranges` measures them.
+from netem.curve import Curve
 
 Method = Literal["one-way", "two-way"]
 
@@ -74,7 +51,7 @@ class Modem:
     clear_above: float  # dB: at or above it everything is
     capture: float  # dB: by how much a signal must exceed the sum of those that overlap it
     processing: float = 0.0  # s, from the end of a reception until the payload is there
-    tries: int = 0  # how often a payload is sent at most until it is acknowledged; 0: once, and nobody acknowledges
+    tries: int = 0  # how often a payload is sent at most until it is acknowledged; 0: once, without acknowledgement
     timeout: float = 0.0  # s, from the end of a transmission until the next try
     acknowledgement: int = 0  # bytes of an acknowledgement
     airtime: Curve | None = None  # s over bytes: as measured, in place of bit_rate and preamble
@@ -113,7 +90,7 @@ class AcousticConfig:
     guard_ns: int = DEFAULT_GUARD_NS  # tdma: of each slot, kept silent for propagation
     buffer: int = 1  # payloads that wait in a modem
     sound_speed: float = SOUND_SPEED  # m/s
-    water: propagation.SeaWater | None = None  # that absorbs sound; None: Thorp's, of 4 deg C
+    water: propagation.SeaWater | None = None  # the water that absorbs sound; None: Thorp's, of 4 deg C
     spreading: float = 1.5  # 1 cylindrical, 1.5 practical, 2 spherical
     excess: float = 0.0  # dB, lost in addition to spreading and absorption
     shipping: float = 0.5  # 0 none, 1 heavy
@@ -121,7 +98,7 @@ class AcousticConfig:
     shadowing: float = 0.0  # dB, standard deviation of the slow gain of a directed link
     shadowing_ns: int = 0  # after which its correlation is 1/e; 0: it never changes
     rician: float | None = None  # of each packet: power of the steady path over the scattered; 0 Rayleigh, None: none
-    modems: dict[int, Modem] = field(default_factory=dict)  # of the vehicles that carry another one
+    modems: dict[int, Modem] = field(default_factory=dict)  # modems of the vehicles that carry another one
     ranging: RangingConfig | None = None  # None: modems measure no ranges
 
     def modem_of(self, vehicle: int) -> Modem:
@@ -153,7 +130,7 @@ class AcousticConfig:
         receiver: Modem | None = None,
         gain_db: float = 0.0,
     ) -> float:
-        """The probability that a payload of `size` bytes cannot be decoded at a range [m], if nobody else talks.
+        """The probability that a payload of `size` bytes cannot be decoded at a range [m], if no other modem talks.
         `gain_db`: what fading adds to the level at this moment."""
         modem = self.modem if receiver is None else receiver
         if modem.delivery is not None:

@@ -15,7 +15,8 @@ from netem.acoustic import AcousticChannel
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.faults import NetFault, active_faults
-from netem.medium import IndependentLinks, Medium, MediumRound, Place, make_links
+from netem.links import make_links
+from netem.medium import IndependentLinks, Medium, MediumRound, Place
 from netem.transit import PendingPacket, Transit
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate
@@ -79,7 +80,7 @@ class Netem:
         self._medium.carry(MediumRound(tick, until, transmissions, positions, faults, self._clocks))
         if transit.held:
             # As all faults, a hold ends with the first round behind its end. If it ended within a round, a run in which
-            # it was healed, which nobody knows before, would not be that of its record.
+            # it was healed, which is not known before, would not be that of its record.
             transit.release(self.faults, tick, tick if ideal else tick + 1)
         # On an ideal network today's packets are due today, so they are announced before they are settled.
         fates = [] if ideal else transit.settle(tick)

@@ -1,7 +1,7 @@
 """Folders for this user only, below TMPDIR. One whose owner was killed is removed when the next one is made.
 
 The owner holds a lock (flock) on a file in the folder. The system gives the lock back when the owner ends, however it
-ends: what nobody holds is a leftover.
+ends: a folder without a holder is a leftover.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pathlib import Path
 from types import TracebackType
 
 PREFIX = "uuv-fleet-"
-LOCK = "owner.lock"  # in the folder
-SHORT = "/tmp"  # for who needs a short path
+LOCK = "owner.lock"  # the file in the folder that is locked
+SHORT = "/tmp"  # a place for those who need a short path
 
 
 class PrivateFolder:
@@ -30,13 +30,13 @@ class PrivateFolder:
         sweep()
         prefix = f"{PREFIX}{kind}-" if kind else PREFIX
         self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
-        # Locked before it has its name: nobody finds a lock that is free.
+        # The lock is held before the folder has its name: no other process finds it free.
         new = self.path / f"{LOCK}.new"
         self.lock = os.open(new, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             new.rename(self.path / LOCK)
-        except OSError:  # a file system without locks: the folder has none, and nobody takes it for a leftover
+        except OSError:  # a file system without locks: the folder has none, and no process takes it for a leftover
             new.unlink(missing_ok=True)
 
     def close(self) -> None:

@@ -22,11 +22,12 @@ from netem.lives import Absence, Lives
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
 from netem.wire.bundles import AgentGroups
-from netem.wire.bus import PART_BYTES, Bus, Respond, split
+from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode, expect
+from netem.wire.control import read_map
 from netem.wire.credentials import NETEM, Members
 from netem.wire.keys import Keys, vehicle_of
-from netem.wire.mailbox import Mailbox, Probes, read_map
+from netem.wire.mailbox import Mailbox, Probes
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     Bundle,
@@ -41,6 +42,7 @@ from netem.wire.messages import (
     Round,
     Transmission,
 )
+from netem.wire.parts import PART_BYTES, split
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +64,7 @@ class NetworkProcess(ABC, Generic[R]):
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
-        self._round_parts: list[Round] = []  # of a round that is not whole yet
+        self._round_parts: list[Round] = []  # the parts of a round that is not whole yet
         self._probes = Probes()
         self._counts = {"sent": {"links": 0}, "received": {"round": 0}}
         self._lock = Lock()  # a control request comes on a thread of zenoh

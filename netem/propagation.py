@@ -1,4 +1,4 @@
-"""The physics of an acoustic link: speed of sound, absorption, noise, and what a modem makes of the signal.
+"""The physics of an acoustic link: speed of sound, absorption, noise, fading, and what a modem makes of the signal.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -39,17 +39,31 @@ ns-3 subtracts, in addition, the chance of one error among 288 bits: that is lef
 makes the probability negative.
 
 Pure functions on doubles; `docs/guide/acoustic.md` says what is left out (multipath, Doppler, bending rays).
+
+Fading is a slow gain (log-normal shadowing) and a fast one (Rician or Rayleigh), in decibels. Both belong to a directed
+link and are pure functions of (seed, link, time). Nothing is remembered, so packets can be judged in any order.
+
+| symbol | meaning | unit |
+|---|---|---|
+| sigma, tau | standard deviation of the shadowing; time after which its correlation is 1/e | dB, s |
+| Z_n | independent standard normal numbers of a link, one per tau/2 | 1 |
+| K | power of the steady path over that of all scattered ones; 0: Rayleigh | 1 |
+
+Shadowing is sigma S(t) with S(t) = sum_n g(t/h - n) Z_n / sqrt(sum_n g(t/h - n)^2), h = tau/2 and g(u) = exp(-u^2/2):
+a stationary Gaussian process with variance 1 and correlation exp(-(lag/tau)^2). The fast gain of a packet is
+|sqrt(K/(K+1)) + (X + iY)/sqrt(2(K+1))|^2 with normal X and Y, whose mean is 1.
 """
 
 from __future__ import annotations
 
-from math import comb, fsum, log10, pow, sqrt
+from math import comb, exp, fsum, log10, pow, sqrt
 from typing import NamedTuple
+
+from netem.draws import normal
 
 # Information weights B_d of the code (561, 753), from its free distance 12 on, in steps of 2.
 _WEIGHTS = (33, 281, 2179, 15035, 105166, 692330, 4580007, 29692894)
 _FREE_DISTANCE = 12
-
 
 PH = 8.0  # assumption: from 7.9 to 8.2, absorption changes by -2 to 5 % at 10 kHz and by 1 % at 25 kHz
 
@@ -63,14 +77,29 @@ class SeaWater(NamedTuple):
 
 
 def sound_speed(water: SeaWater) -> float:
-    """Speed of sound in sea water [m/s], by Mackenzie."""
+    """Speed of sound in sea water, by Mackenzie.
+
+    Args:
+        water: its temperature, salinity and depth.
+
+    Returns:
+        The speed [m/s].
+    """
     T, S, D = water.temperature, water.salinity - 35.0, water.depth
     c = 1448.96 + 4.591 * T - 5.304e-2 * T * T + 2.374e-4 * T * T * T
     return c + 1.340 * S + 1.630e-2 * D + 1.675e-7 * D * D - 1.025e-2 * T * S - 7.139e-13 * T * D * D * D
 
 
 def absorption(f_khz: float, water: SeaWater | None = None) -> float:
-    """Absorption [dB/km] at a frequency, by Francois and Garrison; by Thorp if nothing is known of the water."""
+    """Absorption, by Francois and Garrison; by Thorp if nothing is known of the water.
+
+    Args:
+        f_khz: frequency [kHz].
+        water: None: 4 deg C, as Thorp had it.
+
+    Returns:
+        The absorption [dB/km].
+    """
     f2 = f_khz * f_khz
     if water is None:
         if f_khz < 0.4:
@@ -91,14 +120,33 @@ def absorption(f_khz: float, water: SeaWater | None = None) -> float:
 
 
 def transmission_loss(range_m: float, f_khz: float, spreading: float, water: SeaWater | None = None) -> float:
-    """Transmission loss [dB] over a range: spreading and absorption."""
+    """Transmission loss: spreading and absorption.
+
+    Args:
+        range_m: distance [m]; within 1 m nothing is lost.
+        f_khz: frequency [kHz].
+        spreading: 1 cylindrical, 1.5 practical, 2 spherical [1].
+        water: as for `absorption`.
+
+    Returns:
+        The loss [dB].
+    """
     if range_m <= 1.0:
         return 0.0
     return 10.0 * spreading * log10(range_m) + absorption(f_khz, water) * range_m / 1000.0
 
 
 def noise_density(f_khz: float, shipping: float, wind_mps: float) -> float:
-    """Power spectral density of the ambient noise [dB re 1 uPa/sqrt(Hz)]; the parts add as powers."""
+    """Ambient noise of turbulence, shipping, wind and heat; the parts add as powers.
+
+    Args:
+        f_khz: frequency [kHz].
+        shipping: activity, from 0 (none) to 1 (heavy).
+        wind_mps: speed of the wind [m/s].
+
+    Returns:
+        The power spectral density [dB re 1 uPa/sqrt(Hz)].
+    """
     log_f = log10(f_khz)
     parts = (
         17.0 - 30.0 * log_f,
@@ -110,12 +158,29 @@ def noise_density(f_khz: float, shipping: float, wind_mps: float) -> float:
 
 
 def noise_level(f_khz: float, bandwidth_hz: float, shipping: float, wind_mps: float) -> float:
-    """Noise [dB re 1 uPa] within a bandwidth, whose density is taken as that at its middle."""
+    """Noise within a bandwidth, whose density is taken as that at its middle.
+
+    Args:
+        f_khz: middle of the band [kHz].
+        bandwidth_hz: its width [Hz].
+        shipping: as for `noise_density`.
+        wind_mps: likewise.
+
+    Returns:
+        The level [dB re 1 uPa].
+    """
     return noise_density(f_khz, shipping, wind_mps) + 10.0 * log10(bandwidth_hz)
 
 
 def bit_error_rate(snr_db: float) -> float:
-    """Bit errors after decoding, of coded non-coherent FSK in Rayleigh fading: a bound, so it may exceed 1."""
+    """Bit errors after decoding, of coded non-coherent FSK in Rayleigh fading.
+
+    Args:
+        snr_db: signal-to-noise ratio [dB].
+
+    Returns:
+        The share of wrong bits [1]: a bound, so it may exceed 1.
+    """
     p = 1.0 / (2.0 + power(snr_db))
     total = 0.0
     for index, weight in enumerate(_WEIGHTS):
@@ -133,6 +198,9 @@ def packet_error_rate(snr_db: float, bits: int, lost_below_db: float, clear_abov
         lost_below_db: at or below this ratio [dB] every packet is lost.
         clear_above_db: at or above this ratio [dB] no packet is lost. If both ratios are equal, packets at that ratio
             are received.
+
+    Returns:
+        The probability [1].
     """
     if snr_db >= clear_above_db:
         return 0.0
@@ -148,3 +216,46 @@ def power(level_db: float) -> float:
 
 def decibels(ratio: float) -> float:
     return 10.0 * log10(ratio)
+
+
+SHADOWING, SCATTER = "shadowing", "scatter"  # purposes of draws
+_REACH = 5  # g is 4e-6 beyond it
+_LEAST = 1e-30  # a power that is lost for sure
+
+
+def fading_gain_db(seed: int, src: int, dst: int, at_ns: int, sigma: float, tau_ns: int, k: float | None) -> float:
+    """Fading of one transmission.
+
+    Args:
+        seed: of the run.
+        src: number of the sender.
+        dst: number of the receiver.
+        at_ns: when the transmission begins [ns].
+        sigma: standard deviation of the shadowing [dB].
+        tau_ns: after which its correlation is 1/e [ns]; 0: the shadowing never changes.
+        k: power of the steady path over the scattered ones [1]; None: there is no fast fading.
+
+    Returns:
+        The gain that adds to the level [dB].
+    """
+    gain = sigma * _shadowing(seed, src, dst, at_ns, tau_ns) if sigma else 0.0
+    return gain if k is None else gain + decibels(max(_LEAST, _scatter(seed, src, dst, at_ns, k)))
+
+
+def _shadowing(seed: int, src: int, dst: int, at_ns: int, tau_ns: int) -> float:
+    if not tau_ns:  # the shadowing never changes
+        return normal(seed, SHADOWING, src, dst, 0)
+    place = at_ns / (tau_ns / 2.0)
+    total = power = 0.0
+    for n in range(int(place) - _REACH, int(place) + _REACH + 2):
+        weight = exp(-0.5 * (place - n) * (place - n))
+        total += weight * normal(seed, SHADOWING, src, dst, n)
+        power += weight * weight
+    return total / sqrt(power)
+
+
+def _scatter(seed: int, src: int, dst: int, at_ns: int, k: float) -> float:
+    spread = sqrt(0.5 / (k + 1.0))
+    x = sqrt(k / (k + 1.0)) + spread * normal(seed, SCATTER, src, dst, at_ns, 0)
+    y = spread * normal(seed, SCATTER, src, dst, at_ns, 1)
+    return x * x + y * y

@@ -64,7 +64,7 @@ class Query(NamedTuple):
     start_tick: int
     src: int
     dst: int
-    seq: int  # of the packet that it is about
+    seq: int  # number of the packet that the query is about
     kind: int
 
 
@@ -80,7 +80,7 @@ class NoRanges:
     """Modems that measure no ranges, and what all modems have."""
 
     def __init__(self) -> None:
-        self.queries: list[Query] = []  # that are to be sent
+        self.queries: list[Query] = []  # queries that are not sent yet
         self.kept: list[HeldRange] = []
 
     def begin_round(self, round_: MediumRound) -> None:
@@ -117,7 +117,7 @@ class OneWay(NoRanges):
         self._air = air
         self._seed = config.seed
         self._tick_ns, self._round_ticks = config.tick_ns, config.round_ticks
-        self._tick = 0  # of the round
+        self._tick = 0  # the round tick
         self._clocks: Clocks | None = None
 
     def begin_round(self, round_: MediumRound) -> None:
@@ -127,7 +127,7 @@ class OneWay(NoRanges):
 
     def received(self, packet: PendingPacket, r: Reception) -> Ranged:
         distance = self._air.range_m(r.src, r.dst)
-        assert distance is not None  # both had a place when it was sent
+        assert distance is not None  # both vehicles had a place when the packet was sent
         error = self._error(r.src, r.dst, r.seq)
         if self._clocks is not None:
             ahead_ns = self._ahead_ns(r.dst, r.end_ns) - self._ahead_ns(r.src, r.start_tick * self._tick_ns)
@@ -175,7 +175,7 @@ class TwoWay(OneWay):
         asks = packet.due_tick + -(-turn * self._ranging.turn_ns // tick_ns)
         waits_ns = 2 * acoustic.delay_ns(max(modem.max_range, other.max_range))
         waits_ns += sum(m.airtime_ns(self._ranging.request) + round(m.processing * 1e9) for m in (modem, other))
-        deadline = asks + -(-waits_ns // tick_ns) + 3  # of which each start and end is at a whole tick
+        deadline = asks + -(-waits_ns // tick_ns) + 3  # three ticks more, because each start and end is at a whole tick
         self.kept.append(HeldRange(deadline, asks, packet))
         self.queries.append(Query(asks, packet.dst, packet.src, packet.seq, REQUEST))
         return []
@@ -215,7 +215,13 @@ class TwoWay(OneWay):
 
 
 def make_ranges(config: NetemConfig, air: Air, receivers: Mapping[int, Sequence[int]]) -> NoRanges:
-    """The ranges that the modems of a run measure."""
+    """Make the ranges that the modems of a run measure.
+
+    Args:
+        config: of the network.
+        air: the transmissions that can be heard, and the places of the vehicles.
+        receivers: by sender, in the order in which they may send requests.
+    """
     acoustic = config.acoustic
     if acoustic is None or acoustic.ranging is None:
         return NoRanges()

@@ -9,9 +9,10 @@ from time import monotonic_ns
 from netem.process import NetworkProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.bus import Bus, Respond
+from netem.wire.control import read_map
 from netem.wire.credentials import NETEM
 from netem.wire.keys import Keys
-from netem.wire.mailbox import Item, read_map
+from netem.wire.mailbox import Item
 from netem.wire.messages import (
     Message,
     Pace,

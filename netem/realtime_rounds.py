@@ -22,7 +22,7 @@ from netem.lives import Lives
 from netem.network import Netem
 from netem.wire.messages import Delivery, Fate, Inbox, LinkReport, Receipt, Round, Transmission
 
-FAR_ROUNDS = 20  # by which what an agent sends may be ahead of a network that is late
+FAR_ROUNDS = 20  # an agent may be ahead of a late network by so many rounds
 
 
 @dataclass(slots=True)

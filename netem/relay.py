@@ -16,13 +16,15 @@ from typing import Any, NamedTuple
 from msgspec import Struct, structs
 
 from netem.acoustic import AcousticChannel
-from netem.condition import Link, lost_share
+from netem.cause import Cause
+from netem.condition import Link
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
+from netem.correlation import lost_share
 from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY
-from netem.medium import IndependentLinks, MediumRound, Place, make_links
+from netem.links import make_links
+from netem.medium import IndependentLinks, MediumRound, Place
 from netem.network import fate_order
 from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
@@ -45,10 +47,10 @@ class RobotMessage(Struct):
     kind: str
     key: str
     payload: bytes
-    at_ns: int  # its arrival here [CLOCK_MONOTONIC]
+    at_ns: int  # when the message arrived here [CLOCK_MONOTONIC]
     what: Any = None  # zenoh's own sample, query or reply, or what the process needs to hand it over
-    to: int | None = None  # its only receiver; None: all neighbours
-    number: int = 0  # in the order in which the relay took them
+    to: int | None = None  # the only receiver; None: all neighbours
+    number: int = 0  # counts messages in the order in which the relay took them
 
 
 class PacketPart(NamedTuple):
@@ -77,9 +79,9 @@ class _Outbox(Transit):
     def __init__(self, config: NetemConfig) -> None:
         super().__init__(config)
         self.now: PacketPart | None = None  # what enters a link now; None: in water, where `named` says it
-        self.named: dict[tuple[int, int], PacketPart] = {}  # by (src, seq)
+        self.named: dict[tuple[int, int], PacketPart] = {}  # by (src, seq): which message a packet in water belongs to
         self.heap: list[tuple[int, int, PendingPacket, PacketPart]] = []
-        self._parts: dict[tuple[int, int, int, int], PacketPart] = {}  # of what a fault holds
+        self._parts: dict[tuple[int, int, int, int], PacketPart] = {}  # the messages of packets that a fault holds
         self.sizes: Counter[Link] = Counter()  # bytes under way
         self.full: set[Link] = set()  # links that have lost something because so much was under way
         self.final: list[MessageFate] = []
@@ -147,7 +149,7 @@ class Relay:
         self.late = Histogram()  # how much later than due messages were handed over
         self.places: dict[int, Place] = {}
         self._begin_ns, self._header = begin_ns, bytes(header)
-        self._room: dict[int, int] = {}  # by sender: bytes of a message that fit into a packet; empty: all of them
+        self._room: dict[int, int] = {}  # by sender: bytes of a message that fit into a packet; empty: any number
         if fragments and config.acoustic is not None:
             self._room = {i: max(1, config.acoustic.longest(config.tick_ns, i) - header) for i in config.vehicles}
         self._links, self._out = make_links(config), _Outbox(config)
@@ -157,8 +159,8 @@ class Relay:
         self._water = AcousticChannel(config, self._links, self._out) if water else None
         self._taken = 0
         self._leaving: dict[int, DueMessage] = {}  # given out by `handed` and not yet settled, by identity
-        self._came: dict[int, list[tuple[PacketPart, bytes]]] = {}  # for the next tick, in water
-        self._numbers = dict.fromkeys(config.vehicles, 0)  # of the next packet, in water
+        self._came: dict[int, list[tuple[PacketPart, bytes]]] = {}  # in water: what leaves at the next tick
+        self._numbers = dict.fromkeys(config.vehicles, 0)  # in water: the number of the next packet, by sender
         self._next = 0  # tick of the next round, in water
         self._arrived: dict[tuple[int, int], dict[int, bytes]] = {}  # parts by (receiver, message)
         self._latency_ns: dict[Link, int] = {}

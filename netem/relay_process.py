@@ -22,21 +22,21 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from netem.condition import Link
 from netem.config import NetemConfig
+from netem.discovery import Discovery
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
-from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, QUERIES_WAITING, RELAY_WAITING, TOKENS
+from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, QUERIES_WAITING, RELAY_WAITING
 from netem.relay import DATAGRAM, PUT, QUERY, REPLY, DueMessage, MessageFate, Relay, RobotMessage
 from netem.wire import robots
-from netem.wire.queues import Inlet
+from netem.wire.robot_queues import Inlet
 from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, Unfit
 from netem.wire.session import quiet_zenoh
 
-MOST_KEPT_BYTES = 1_000_000  # of a message whose bytes are logged
+MOST_KEPT_BYTES = 1_000_000  # the bytes of a longer message are not logged
 MOST_NOTES = 1000
-SILENT_NS = 10_000_000_000  # then another program may take the place of the sender of datagrams
+SILENT_NS = 10_000_000_000  # after such a silence another program may be the sender of datagrams
 SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is named
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
@@ -67,7 +67,7 @@ class Setup(Struct):
     payloads: bool = False
     linked: bool = False  # discovery
     lost_after_ns: int = 0
-    ticks: int = 2**62  # of the run, if nobody ends it
+    ticks: int = 2**62  # the length of the run, if the console does not end it
 
 
 class LoggedMessage(Struct):
@@ -96,7 +96,7 @@ class _Datagram(Struct):
     port: Port
     at_ns: int
     payload: bytes
-    sender: Any  # its address
+    sender: Any  # address of the sending program
 
 
 def run(pipe: Connection, setup: Setup) -> None:
@@ -137,13 +137,9 @@ class RelayProcess:
         self._waiting: dict[Ticket, int] = {}  # oldest first, with the bytes of its query; without us it would end
         self._waiting_bytes = 0
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
-        self._tokens: dict[str, set[int]] = {}  # by key: the robots that have it
-        self._coming: dict[Link, dict[str, int]] = {}  # when a token is to appear at the end of a link [ns]
-        self._shown: dict[Link, set[str]] = {link: set() for link in setup.config.links}
         self._kept_ns: dict[int, int] = {}  # by robot: how long it let a message wait at most
         self._untaken: Counter[int] = Counter()  # by robot: messages that it did not take
         self._told: set[str] = set()
-        self._passed_ns: dict[Link, int] = {}  # when something could pass a link last
         self._who: dict[str, int] = {}  # by zenoh id of a router: the robot that reaches it
         self._came = Histogram()  # how long what comes waits for this process
         try:
@@ -166,6 +162,14 @@ class RelayProcess:
         config = self._setup.config
         self._relay = relay = Relay(config, begin_ns, header=self._setup.header, fragments=self._setup.fragments)
         relay.places.update(self._setup.places)
+        self._discovery = Discovery(
+            self._robots,
+            self._hearers,
+            relay,
+            self._note,
+            linked=self._setup.linked,
+            lost_after_ns=self._setup.lost_after_ns,
+        )
         self._sender = Thread(target=self._send, daemon=True)
         self._sender.start()
         Thread(target=self._listen, daemon=True).start()
@@ -196,16 +200,14 @@ class RelayProcess:
                 if reported * config.round_ticks >= self._setup.ticks:
                     self._end = self._setup.ticks
                     break
-                self._discover(now)
+                self._discovery.update(now)
                 self._report(reported * config.round_ticks)
         self._last(min(self._end, self._setup.ticks))
-
-    # --- what comes
 
     def _take(self, item: Any) -> None:
         match item:
             case Token():
-                self._announced(item)
+                self._discovery.announce(item)
             case robots.Linked():
                 self._linked(item)
             case _Datagram(port, at_ns, payload, sender):
@@ -277,8 +279,6 @@ class RelayProcess:
             case "close":
                 self._end = self._relay.tick(monotonic_ns()) + 1
 
-    # --- what is due
-
     def _hand_over(self) -> None:
         for due in self._relay.handed(monotonic_ns()):
             if due.message.kind == DATAGRAM:
@@ -335,63 +335,6 @@ class RelayProcess:
         self._untaken[due.dst] += not delivered
         self._relay.settle(due, at_ns, delivered=delivered)
 
-    # --- discovery
-
-    def _announced(self, token: Token) -> None:
-        robot, key = self._robots[token.robot], token.key
-        if not robot.carries(key):
-            return
-        links = [(token.robot, dst) for dst in self._hearers.get(token.robot, ())]
-        holders = self._tokens.get(key, set())
-        if not token.alive:
-            if token.robot in holders:
-                holders.remove(token.robot)
-                if not holders:
-                    del self._tokens[key]
-                for link in links:
-                    self._coming.get(link, {}).pop(key, None)
-                    self._hide(link, key)
-            return
-        if token.robot in holders:
-            return
-        if len(self._tokens) >= TOKENS.items:
-            self._note(f"{robot.name}: more than {TOKENS.items} liveliness tokens; others do not see the rest")
-            return
-        self._tokens.setdefault(key, holders).add(token.robot)
-        for link in links:
-            if self._setup.linked:
-                self._coming.setdefault(link, {})[key] = monotonic_ns() + self._relay.latency_ns(link)
-            else:
-                self._show(link, key)
-
-    def _show(self, link: Link, key: str) -> None:
-        self._shown[link].add(key)
-        robot = self._robots[link[1]]
-        robot.outlet.do(partial(robot.mirror, key))
-
-    def _hide(self, link: Link, key: str) -> None:
-        """A token is no longer shown at the end of a link, unless another robot has it and reaches there, too."""
-        if key not in self._shown[link]:
-            return
-        self._shown[link].remove(key)
-        if not any(key in self._shown.get((src, link[1]), ()) for src in self._tokens.get(key, ())):
-            robot = self._robots[link[1]]
-            robot.outlet.do(partial(robot.withdraw, key))
-
-    def _discover(self, now_ns: int) -> None:
-        """With `linked`, show the tokens that are due, and hide those behind a link that nothing passes for long."""
-        for link in self._setup.config.links if self._setup.linked else ():
-            coming = self._coming.setdefault(link, {})
-            if self._relay.passes(link, now_ns):
-                self._passed_ns[link] = now_ns
-                for key in [key for key, at_ns in coming.items() if at_ns <= now_ns]:
-                    del coming[key]
-                    self._show(link, key)
-            elif now_ns - self._passed_ns.setdefault(link, now_ns) > self._setup.lost_after_ns:
-                for key in [*self._shown[link]]:
-                    self._hide(link, key)
-                    coming[key] = now_ns
-
     def _linked(self, link: robots.Linked) -> None:
         robot = self._robots[link.robot]
         if not link.begins and link.who in self._who:
@@ -406,8 +349,6 @@ class RelayProcess:
                 if other != number:
                     first = self._robots[other].name
                     raise BusError(f"{first} and {robot.name} reach the same zenoh network ({who}): give each its own")
-
-    # --- the console
 
     def _note(self, text: str) -> None:
         """Tell the console something; the same thing once."""

@@ -38,8 +38,15 @@ class Rounds:
         return [i for i in self._speakers(self._next) or self.config.vehicles if i not in have]
 
     def transmission(self, i: int, message: Transmission) -> None:
-        """Take vehicle i's transmission. Raises OutOfPlace: not a round tick, a tick that was already exchanged or
-        taken, or another incarnation."""
+        """Take a transmission.
+
+        Args:
+            i: number of the sending vehicle.
+            message: its payloads of a round tick.
+
+        Raises:
+            OutOfPlace: not a round tick, a tick that was already exchanged or taken, or another incarnation.
+        """
         incarnation = self.lives.check(i, message.tick, message.incarnation)
         m = self.config.round_ticks
         # An agent needs the inbox of one round to transmit in the next, but for its first, while others lag behind.
@@ -54,13 +61,21 @@ class Rounds:
         taken[i] = message.payloads
 
     def round(self, message: Round) -> None:
-        """Take from the world who is alive at a round tick. Raises OutOfPlace: not the next round."""
+        """Take from the world who is alive at a round tick.
+
+        Raises:
+            OutOfPlace: not the next round.
+        """
         if message.tick != self._next:
             raise OutOfPlace("round", self._next, message.tick)
         self._alive[message.tick] = message
 
     def exchange(self) -> tuple[list[tuple[int, Inbox]], LinkReport] | None:
-        """The next round's outcome if everything for it is in: (vehicle, inbox) pairs and the report."""
+        """Close the next round, if everything for it is in.
+
+        Returns:
+            Pairs of a vehicle and its inbox, and the report to the console; None: something is still missing.
+        """
         tick = self._next
         speakers = self.config.vehicles if self.config.ideal else self._speakers(tick)
         have = self._transmissions.get(tick, {})

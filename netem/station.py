@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 
 ANSWER = -1  # the `copy` of a reception that is an acknowledgement
-REQUEST, REPLY = -2, -3  # likewise of two-way ranging
+REQUEST, REPLY = -2, -3  # the `copy` of a reception of two-way ranging
 
 
 class QueuedPayload(NamedTuple):
@@ -30,7 +30,7 @@ class Station(Struct, array_like=True):
     vehicle: int
     late: list[QueuedPayload] = []  # not yet in the modem, in order of ready_tick
     waiting: list[QueuedPayload] = []  # the transmit buffer, oldest first
-    start_tick: int | None = None  # of the first payload in the buffer; None: the buffer is empty
+    start_tick: int | None = None  # when the first payload in the buffer starts; None: the buffer is empty
     free_tick: int = 0  # first tick at which the modem can start again
     seq: int = 0  # number of payloads taken from the agent so far
     draws: int = 0  # number of random back-offs used so far
@@ -41,9 +41,9 @@ class Transfer(Struct, array_like=True):
 
     sent: QueuedPayload
     to: list[int]  # neighbours to whom it is still sent; the first is addressed now
-    tried: int = 0  # transmissions to the first so far
-    deadline_tick: int = 0  # when the last of them counts as failed
-    arrived: bool = False  # the first has it
+    tried: int = 0  # transmissions to the first neighbour so far
+    deadline_tick: int = 0  # when the last transmission counts as failed
+    arrived: bool = False  # the first neighbour has the payload
     cause: Cause | None = None  # why the last try to the first failed
 
     def missing(self) -> list[int]:

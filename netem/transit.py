@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from netem.cause import Cause
 from netem.condition import Link
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
 from netem.faults import ActiveFaults, NetFault, release_tick
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Fate, MeasuredRange
@@ -53,7 +53,7 @@ class PendingPacket(NamedTuple):
 class HeldPacket(NamedTuple):
     """A packet that a fault holds."""
 
-    packet: PendingPacket  # with the times that it would have otherwise
+    packet: PendingPacket  # the packet with the times that it would have without the fault
     later: int  # ticks between it and the packet that it is a copy of, also after the fault
     reverse: bool
 
@@ -76,10 +76,10 @@ class Transit:
             i: [] for i in config.vehicles
         }  # heaps of what is in no inbox yet
         self._tick_ns = config.tick_ns
-        self.announced: list[PendingPacket] = []  # in an inbox, not yet due
-        self.lost: list[Fate] = []  # their final tick is still to come
-        self.ranges: dict[tuple[int, int, int, int], MeasuredRange] = {}  # of packets without a final fate
-        self.held: dict[Link, list[HeldPacket]] = {}  # by faults, in the order of sending
+        self.announced: list[PendingPacket] = []  # packets that are in an inbox and not yet due
+        self.lost: list[Fate] = []  # losses whose final tick is still to come
+        self.ranges: dict[tuple[int, int, int, int], MeasuredRange] = {}  # packets without a final fate have one
+        self.held: dict[Link, list[HeldPacket]] = {}  # packets that faults hold, in the order of sending
         self._reversed: set[tuple[int, int, int, int]] = set()  # released, and in no inbox yet
 
     def take_over(self, before: Transit) -> None:

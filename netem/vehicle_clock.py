@@ -13,31 +13,24 @@ drift has added stays. The numbers are whole nanoseconds, so every process compu
 
 Clocks change what agents and modems take for the time. They never change simulated time: a tick stays a tick, and a log
 has the true time.
+
+The world and netem read the clocks, and no agent does. So a live fault of a clock reaches an external agent, too. An
+agent that read its clock itself would need the timeline of faults in its slice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any, Protocol
-
-# --- clock
-# Whether a run is in lockstep or follows the wall clock.
-
-
-class Clock(StrEnum):
-    """Decides when a tick begins."""
-
-    LOCKSTEP = "lockstep"  # everybody waits for everybody, so the log does not depend on the machine
-    REAL = "real"  # the wall clock: nobody waits, so processes can be late
-
 
 CLOCK = "clock"  # the kind of a fault
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleClock:
+    """How the clock of a vehicle is set at the start of a run."""
+
     offset_ns: int = 0  # theta, by which it is ahead at the start
     drift: float = 0.0  # rho, s/s
 
@@ -58,20 +51,45 @@ class ClockChange(Protocol):
 
 
 class Clocks:
+    """The clocks of a fleet. Those that nobody sets are right."""
+
     def __init__(self, own: Mapping[int, VehicleClock], faults: Iterable[ClockChange], tick_ns: int) -> None:
-        """Take the clocks that are set and the faults of kind `clock` among all; other vehicles have right clocks."""
+        """Take the clocks.
+
+        Args:
+            own: the clocks that are set, by vehicle.
+            faults: all faults of the run; those of kind `clock` count.
+            tick_ns: length of a tick [ns].
+        """
         self._own = own
         self._faults = [fault for fault in faults if fault.kind == CLOCK]
         self._tick_ns = tick_ns
 
     @classmethod
     def that_differ(cls, own: Mapping[int, VehicleClock], faults: Iterable[ClockChange], tick_ns: int) -> Clocks | None:
-        """The clocks of a fleet; None if no clock is set and no fault changes one. Callers can then ignore clocks."""
+        """Make the clocks if they are needed.
+
+        Args:
+            own: as for the class.
+            faults: likewise.
+            tick_ns: length of a tick [ns].
+
+        Returns:
+            The clocks; None if no clock is set and no fault changes one. Callers can then ignore clocks.
+        """
         clocks = cls(own, faults, tick_ns)
         return clocks if own or clocks._faults else None
 
     def ahead_ns(self, i: int, tick: int) -> int:
-        """By how much the clock of vehicle i is ahead of simulated time at a tick."""
+        """Compare a clock with simulated time.
+
+        Args:
+            i: number of the vehicle.
+            tick: of simulated time.
+
+        Returns:
+            By how much the vehicle's clock is ahead [ns].
+        """
         clock = self._own.get(i, _RIGHT)
         ahead = clock.offset_ns + round(clock.drift * (tick * self._tick_ns))
         for fault in self._concerning(i, tick):
@@ -82,15 +100,31 @@ class Clocks:
         return ahead
 
     def reading_ns(self, i: int, tick: int) -> int:
-        """The time that the clock of vehicle i shows at a tick."""
+        """Read a clock.
+
+        Args:
+            i: number of the vehicle.
+            tick: of simulated time.
+
+        Returns:
+            The time that the vehicle's clock shows [ns], at least 0.
+        """
         return max(0, tick * self._tick_ns + self.ahead_ns(i, tick))
 
     def reading_ticks(self, i: int, tick: int) -> int:
-        """The same in whole ticks."""
+        """Read a clock as `reading_ns` does, in whole ticks."""
         return self.reading_ns(i, tick) // self._tick_ns
 
     def drift(self, i: int, tick: int) -> float:
-        """How fast the clock of vehicle i gains at a tick [s/s]."""
+        """Say how fast a clock gains.
+
+        Args:
+            i: number of the vehicle.
+            tick: of simulated time.
+
+        Returns:
+            The drift of the vehicle's clock [s/s], with that of its faults.
+        """
         drifts = [f.values[1] for f in self._concerning(i, tick) if f.end is None or tick < f.end]
         return self._own.get(i, _RIGHT).drift + sum(drifts)
 

@@ -25,14 +25,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from world.config import VehicleParams
 from world.signal import Signal
 from world.vectors import Vec3, Vec5, Vec6
+from world.vehicle_params import VehicleParams
 
 __all__ = ["Plant", "PlantConfig", "PlantState", "Report", "Signal", "Vec3", "Vec5", "Vec6", "VehicleParams", "Water"]
 
-PlantState = tuple[float, ...]  # of one length during a run; every number finite
-Report = Mapping[str, float | Sequence[float]]
+PlantState = tuple[float, ...]  # finite numbers, as many in every state of a run
+Report = Mapping[str, float | Sequence[float]]  # by the name of a signal, in its unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +40,8 @@ class PlantConfig:
     """The part of the run that a plant may know."""
 
     vehicle: int  # number of the vehicle, from 1
-    tick_s: float  # control period [s]: tau is constant for so long
-    seed: int  # of the run
+    tick_s: float  # control period [s], for which tau is constant
+    seed: int  # seed of the run
     model: VehicleParams  # the 5-DOF numbers that the controllers use: `vehicle.model` of the scenario
 
 
@@ -66,13 +66,15 @@ class Plant(Protocol):
 
     @property
     def limits(self) -> Vec3:
-        """The largest |surge force| [N], |pitch moment| and |yaw moment| [N m] that it takes as a command.
+        """Limit the command. A plain attribute does, too.
 
-        A plain attribute does, too. The command is limited to the smaller of these and the scenario's limits.
+        Returns:
+            The largest |surge force| [N], |pitch moment| and |yaw moment| [N m] that the plant takes. The command is
+            limited to the smaller of these and the scenario's limits.
         """
 
     def start(self, pose: Vec6, velocity: Vec6) -> PlantState:
-        """The state at the beginning of a run.
+        """Make the state at the beginning of a run.
 
         Args:
             pose: x, y, z [m, NED], phi, theta, psi [rad].
@@ -83,7 +85,7 @@ class Plant(Protocol):
         """
 
     def step(self, state: PlantState, tau: Vec3, water: Water, dt: float) -> PlantState:
-        """The state `dt` later. It is called `substeps` times per tick, with dt = tick / substeps.
+        """Move on. The world calls this `substeps` times per tick, with dt = tick / substeps.
 
         Args:
             state: the result of `start` or of the last step.
@@ -91,10 +93,27 @@ class Plant(Protocol):
                 applied already.
             water: the current during the step, and the disturbance at its middle.
             dt: length of the step [s].
+
+        Returns:
+            The state `dt` later: finite numbers, as many as before.
         """
 
     def pose(self, state: PlantState) -> Vec6:
-        """x, y, z [m, NED], phi, theta, psi [rad]; the heading goes on beyond a full turn."""
+        """Read the pose from a state.
+
+        Args:
+            state: the result of `start` or `step`.
+
+        Returns:
+            x, y, z [m, NED], phi, theta, psi [rad]; the heading goes on beyond a full turn.
+        """
 
     def velocity(self, state: PlantState) -> Vec6:
-        """u, v, w [m/s, body, over ground], p, q, r [rad/s]."""
+        """Read the velocity from a state.
+
+        Args:
+            state: the result of `start` or `step`.
+
+        Returns:
+            u, v, w [m/s, body, over ground], p, q, r [rad/s].
+        """

@@ -12,46 +12,7 @@ from netem.wire.messages import WorldFault
 from world.navigation.config import Navigation
 from world.tumble import LIMIT_RAD
 from world.vectors import Vec3, Vec5
-
-# --- vehicle: the numbers of the 5-DOF model and of its actuators
-# | symbol | meaning | unit | paper |
-# |---|---|---|---|
-# | m, Iy, Iz | rigid-body mass, moments of inertia in pitch and yaw | kg, kg m^2 | Table I |
-# | beta_udot .. beta_rdot | added mass with the paper's sign (m1 = m - beta_udot) | kg, kg m^2 | Table I |
-# | beta_u .. beta_r | linear damping in surge, sway, heave, pitch, yaw | kg/s, kg m^2/s | Table I |
-# | beta_b | restoring moment coefficient in pitch | N m | Table I |
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleParams:
-    """Parameters of the 5-DOF underactuated vehicle (eqs. 1-2); `world/vehicles` holds numbers with their sources."""
-
-    m: float
-    Iy: float
-    Iz: float
-    beta_udot: float
-    beta_vdot: float
-    beta_wdot: float
-    beta_qdot: float
-    beta_rdot: float
-    beta_u: float
-    beta_v: float
-    beta_w: float
-    beta_q: float
-    beta_r: float
-    beta_b: float
-
-    @property
-    def inertia(self) -> Vec5:
-        """m1..m5 [kg, kg, kg, kg m^2, kg m^2]: mass matrix diagonal as printed below eq. (2)."""
-        return (
-            self.m - self.beta_udot,
-            self.m - self.beta_vdot,
-            self.m - self.beta_wdot,
-            self.Iy - self.beta_qdot,
-            self.Iz - self.beta_rdot,
-        )
-
+from world.vehicle_params import VehicleParams
 
 # RK4 steps per tick. At a tick of 10 ms one step stays within 4e-7 of a converged velocity in the paper's
 # disturbed runs, two within 3e-8, four within 7e-9; each step costs about 7 us per vehicle.
@@ -91,7 +52,7 @@ class PlantSetup:
     budget_s: float  # the longest that it may take for a tick [s of wall time]; 0: any time
     phi0: float = 0.0  # roll at the start [rad]
     p0: float = 0.0  # roll rate at the start [rad/s]
-    file: str = ""  # of a plant that is an FMU: where it lies; the user has let it run
+    file: str = ""  # where the FMU of the plant lies, which the user has let run; empty: the plant is no FMU
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +85,8 @@ class WorldConfig:
     current: Vec3 = (0.0, 0.0, 0.0)  # m/s, NED, irrotational; the mean
     drift: tuple[Vec3, float] | None = None  # sigma [m/s, NED] and time constant [s] of a Gauss-Markov part
     noise: NavNoise = field(default_factory=NavNoise)
-    faults: tuple[WorldFault, ...] = ()  # in the order in which they begin
+    faults: tuple[WorldFault, ...] = ()  # faults in the order in which they begin
     absences: tuple[Absence, ...] = ()  # when a vehicle has no agent
-    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # of the vehicles for which one is set
+    clocks: dict[int, VehicleClock] = field(default_factory=dict)  # clocks of the vehicles for which one is set
     moored: bool = False  # vehicles stay where they begin
     keep_going: bool = False  # the run goes on without a vehicle whose motion leaves the finite numbers

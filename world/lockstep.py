@@ -35,7 +35,8 @@ class Lockstep:
         self.state = RunState(config, frame_every)
         self._awaiting: dict[int, Nav] = {}
         self._decided: dict[int, int] = {}  # round tick -> how many vehicles are past it, with an agent or without
-        self._positions: dict[int, dict[int, tuple[float, ...]]] = {}  # of those with an agent, by round tick
+        # By round tick: positions of the vehicles with an agent.
+        self._positions: dict[int, dict[int, tuple[float, ...]]] = {}
         self._paused: dict[int, list[int]] = {}  # round tick -> those that are suspended in it
         self._round_ticks = config.round_ticks
 

@@ -6,13 +6,13 @@ from pathlib import Path
 from socket import socket
 from typing import NamedTuple
 
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 from netem.wire.bus import Bus
 from netem.wire.certificate_router import CertificateRouter
 from netem.wire.credentials import WORLD as WORLD
 from netem.wire.credentials import Credentials, Listener, Members
 from netem.wire.keys import Keys
-from netem.wire.mailbox import end_with_link
+from netem.wire.link_loss import end_with_link
 from netem.wire.refusals import Refusals, listen
 from netem.wire.session import quiet_zenoh
 from world.config import WorldConfig

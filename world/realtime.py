@@ -40,8 +40,8 @@ class Punctuality:
     late: int = 0
     stale: int = 0
     longest: int = 0  # ticks missed in a row
-    silent: int = 0  # ticks of those in which it was taken for silent
-    row: int = 0  # of those just now
+    silent: int = 0  # missed ticks in which the vehicle's agent was taken for silent
+    row: int = 0  # ticks missed in a row just now
 
     def to_values(self) -> dict[str, Any]:
         values = asdict(self)
@@ -62,11 +62,11 @@ class RealtimeRun:
         self._patience = patience
         self._heard = dict.fromkeys(self.state.ids, 0)  # newest tick with an answer, or at which none was asked for
         self._silent: set[int] = set()
-        self._tick = -1  # that is under way
+        self._tick = -1  # the tick that is under way
         self._awaiting: dict[int, Nav] = {}
         self._newest: dict[int, tuple[Command, bytes]] = {}  # not used yet
         self._answered = dict.fromkeys(self.state.ids, -1)  # newest tick answered
-        self._commanded = dict.fromkeys(self.state.ids, ZERO)  # by the newest command that was used
+        self._commanded = dict.fromkeys(self.state.ids, ZERO)  # forces by the newest command that was used
         self._taken: list[tuple[int, int]] = []  # (vehicle, tick) of commands taken, late ones too
 
     @property
@@ -195,3 +195,37 @@ class RealtimeRun:
             count.missed += 1
             count.row += 1
             count.longest = max(count.longest, count.row)
+
+
+class TickSchedule:
+    """Tick k begins one period after tick k - 1, unless the schedule was moved because a tick was late."""
+
+    def __init__(self, period_ns: int) -> None:
+        self.period_ns = period_ns
+        self._tick, self._at_ns = 0, 0
+        self.held_ns = 0  # moved because the ticks were not granted yet: paused, or waiting for a restart
+        self.slipped_ns = 0  # moved because the world itself was late
+
+    def start(self, tick: int, now_ns: int) -> None:
+        """Let a tick begin at `now_ns` [ns], and the next ones at one period each."""
+        self._tick, self._at_ns = tick, now_ns
+
+    def at_ns(self, tick: int) -> int:
+        """When a tick begins [ns]."""
+        return self._at_ns + (tick - self._tick) * self.period_ns
+
+    def begin(self, tick: int, now_ns: int, *, held: bool) -> int:
+        """Begin the next tick; returns how late it is [ns]. `held`: it was granted only now.
+
+        A world that is up to a period late shortens the tick and so catches up. Beyond that, or when the console held
+        the clock, the schedule is moved: every tick has its whole length, and the run takes longer.
+        """
+        late = now_ns - self.at_ns(tick)
+        if held:
+            self.held_ns += max(0, late)
+            self.start(tick, now_ns)
+            return 0
+        if late > self.period_ns:
+            self.slipped_ns += late
+            self.start(tick, now_ns)
+        return max(0, late)

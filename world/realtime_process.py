@@ -16,11 +16,10 @@ from netem.wire.refusals import Refusals
 from world.config import WorldConfig
 from world.lockstep import Out
 from world.process import WorldProcess
-from world.realtime import RealtimeRun
-from world.tick_schedule import TickSchedule
+from world.realtime import RealtimeRun, TickSchedule
 
 AHEAD_NS = 50_000_000  # from the first grant to the first tick
-PATIENCE_NS = 500_000_000  # without an answer, after which an agent is silent
+PATIENCE_NS = 500_000_000  # after such a time without an answer an agent is silent
 LEAST_PATIENCE = 10  # ticks
 REMEMBERED = 1000  # ticks whose answers are still measured
 
@@ -43,7 +42,7 @@ class RealtimeWorldProcess(WorldProcess):
         self._schedule = TickSchedule(round(config.tick_ns / speed))
         patience = max(LEAST_PATIENCE, PATIENCE_NS // self._schedule.period_ns)
         self._realtime = run = RealtimeRun(config, frame_every=frame_every, patience=patience)
-        self._began_ns: dict[int, int] = {}  # by tick, of the last ones
+        self._began_ns: dict[int, int] = {}  # when the last ticks began, by tick
         self._lag, self._gap = Histogram(), Histogram()
         self._response = {i: Histogram() for i in run.state.ids}
         self._gaps = {i: Histogram() for i in run.state.ids}
@@ -79,10 +78,10 @@ class RealtimeWorldProcess(WorldProcess):
         self._publish(self._realtime.begin())
 
     def _asked(self, i: int) -> bool:
-        return True  # nobody waits for a turn
+        return True  # on a wall clock no agent waits for a turn
 
     def _ask(self, i: int, nav: Nav) -> None:
-        self._send_navs([(i, nav)])  # nobody waits for a turn
+        self._send_navs([(i, nav)])
 
     def _take_command(self, i: int, command: Command, data: bytes) -> list[Out]:
         return self._realtime.command(i, command, data)

@@ -18,12 +18,12 @@ from netem.vehicle_clock import Clocks
 from netem.wire.messages import WorldFault
 from world.api import PlantConfig
 from world.config import NavNoise, VehicleSetup, WorldConfig
-from world.current import GaussMarkov, gust, purpose
-from world.disturbance import disturbance
+from world.disturbance import GaussMarkov, disturbance, gust, purpose
 from world.dynamics import Coefficients, State, coefficients, rk4_step
 from world.errors import IntegrationError, WorldError
-from world.navigation.kinds import ReplayedError, navigation_of
+from world.navigation.config import Navigation, NavigationTrace
 from world.navigation.navigator import Navigator
+from world.navigation.trace_replay import ReplayedError
 from world.plants.fenced_plant import FencedPlant
 from world.vectors import Vec2, Vec3, Vec5, Vec6, plus
 
@@ -101,7 +101,7 @@ class World:
         self._noise = None if config.noise.off else config.noise
         self.faults = config.faults
         self._held: dict[tuple[str, int], tuple[float, ...]] = {}  # (fault, vehicle): what froze or got stuck
-        self._drifts: dict[str, GaussMarkov] = {}  # of the sea (""), and of faults by id
+        self._drifts: dict[str, GaussMarkov] = {}  # drifts of the sea (""), and of faults by id
         self._tick_s = config.tick_ns / 1e9
         self._h = config.tick_ns / 1e9 / config.substeps
         # Every vehicle feels the same disturbance and all pass the same ticks, some ahead of others.
@@ -388,3 +388,14 @@ def split(values: Sequence[float]) -> Measured:
     """Eta, nu and roll of the numbers of all three, one after the other."""
     x, y, z, theta, psi, u, v, w, q, r = values[:10]
     return (x, y, z, theta, psi), (u, v, w, q, r), tuple(values[10:])
+
+
+def navigation_of(
+    config: Navigation | None, seed: int, i: int, tick_ns: int, state: State
+) -> Navigator | ReplayedError | None:
+    """The navigation of vehicle i, from its true state at the start; None: the vehicle knows where it is."""
+    if config is None:
+        return None
+    if isinstance(config, NavigationTrace):
+        return ReplayedError(config, tick_ns)
+    return Navigator(config, seed, i, tick_ns, state)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One named value of a law or a plant: a number, or `width` of them. The unit is "1" when it has none."""
+    """One named value of a law or a plant."""
 
-    name: str
-    unit: str
-    meaning: str
-    width: int = 1
+    name: str  # as logs, tables and checks name it
+    unit: str  # such as "m/s"; "1" if it has none
+    meaning: str  # a few words, for tables and pictures
+    width: int = 1  # how many numbers it has
 
 
 def width_of(signals: Iterable[Signal]) -> int:

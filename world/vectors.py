@@ -1,4 +1,8 @@
-"""Vectors as tuples of floats: the arithmetic that is done at every tick, without numpy's cost per call."""
+"""Vectors as tuples of floats: the arithmetic that is done at every tick, without numpy's cost per call.
+
+A numpy array of three numbers costs more than it holds. A batch of all vehicles in numpy wins only with 100 of them, by
+0.3 ms of a tick that costs 10 ms, and vehicles that run ahead are integrated one by one anyway.
+"""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ vehicle that goes ahead at ASTERN, and thrust acts on u alone. The exact directi
 
 The flavours differ in A alone: -K2 err plus the derivatives of the commands (*backstepping*: BC, BOC), a shunting model
 in place of err and no derivatives, which the paper then counts as disturbances (*neurodynamic*: NBC, NBOC), a
-saturated switching term (*sliding mode*: BSMC). All derivatives are filtered differences (see `filters`).
+saturated switching term (*sliding mode*: BSMC). All derivatives are filtered differences (`agents.laws.angles`).
 """
 
 from __future__ import annotations
@@ -28,24 +28,26 @@ from math import asin, atan2, cos, exp, sin
 from typing import ClassVar
 
 from agents.config import AgentConfig
-from agents.laws.kinematics import ASTERN, RateFilter, flow_angles, wrap
+from agents.laws.angles import RateFilter, wrap
+from agents.laws.kinematics import ASTERN, flow_angles
 from agents.sample import Sample, VelocityCommand
 from world.signal import Signal
 from world.vectors import Vec3
 
-# --- shunting: the bioinspired neuron that bounds and smooths an error (eqs. 43-47).
-# | symbol | meaning | unit | paper |
-# |---|---|---|---|
-# | x | membrane state | unit of s | (43) |
-# | s | input, an error held over dt | m/s or rad/s | (43) |
-# | a | passive decay | 1/s | Table I |
-# | b, b' | upper bound, minus lower bound of x (Table I prints b' as d) | unit of s | (43) |
-#
-#     x' = -a x + (b - x) max(s, 0) - (b' + x) max(-s, 0)
-
 
 def shunting_step(x: float, s: float, a: float, b_up: float, b_down: float, dt: float) -> float:
-    """The state [unit of s] `dt` [s] later with s held: the exact solution, which is stable for every dt.
+    """One step of the shunting model, the bioinspired neuron that bounds and smooths an error (eqs. 43-47).
+
+    | symbol | meaning | unit | paper |
+    |---|---|---|---|
+    | x | membrane state | unit of s | (43) |
+    | s | input, an error held over dt | m/s or rad/s | (43) |
+    | a | passive decay | 1/s | Table I |
+    | b, b' | upper bound, minus lower bound of x (Table I prints b' as d) | unit of s | (43) |
+
+        x' = -a x + (b - x) max(s, 0) - (b' + x) max(-s, 0)
+
+    Returns the state [unit of s] `dt` [s] later with s held: the exact solution, which is stable for every dt.
 
     x <- x_ss + (x - x_ss) exp(-(a + |s|) dt), x_ss = b s / (a + |s|), with b' (`b_down`) for b (`b_up`) where s < 0.
     Being a convex combination it keeps x within [-b_down, b_up].
@@ -144,7 +146,7 @@ class NeurodynamicTracking(_Backstepping):
         Signal("x", "m/s, rad/s", "shunting states of u_err, q_err, r_err after the update", 3),
         _DEMAND,
     )
-    uses: ClassVar[frozenset[str]] = _COMMON | {"a", "b_up", "b_down"}  # of TrackingParams
+    uses: ClassVar[frozenset[str]] = _COMMON | {"a", "b_up", "b_down"}  # the fields of TrackingParams that it reads
 
     __slots__ = ("x",)
 

@@ -24,6 +24,9 @@ which fades slowly. If it then slows down to u, it must pitch by about w / u mor
 
 The constraints of both vehicles of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for
 each lag tau up to T, this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
+
+PIQP's last bits depend on the processor. So PIQP only says which constraints are active, and elimination in a fixed
+order gives the velocity.
 """
 
 from __future__ import annotations
@@ -41,16 +44,16 @@ from agents.sample import Sample
 from world.signal import Signal
 from world.vectors import ZERO, Vec3, dot, minus, moved, scale
 
-# Of a unit of slack. Larger than the multipliers of constraints that can be kept, so that these have no slack.
+# The price of a unit of slack. It is larger than the multipliers of constraints that can be kept: these have no slack.
 PENALTY = 1000.0
-TOLERANCE = 1e-10  # of PIQP
-CHANGES = 8  # of PIQP's active constraints, at most
+TOLERANCE = 1e-10  # PIQP's tolerance
+CHANGES = 8  # changes of PIQP's active constraints, at most
 ROUNDING = 1e-9  # m/s, of the closed form
 DEPENDENT = 1e-7  # less than this is left of the direction of a constraint that follows from others
 SLACK = 1e-6  # m/s; more than this is an infeasible problem
 ASIDE = 0.5  # of the velocity that is lost along a constraint, what is added across it
 SIDE = 0.1  # a relative course that passes by less than this to port, over its length, has no side: starboard then
-_HESSIAN = np.diag([1.0, 1.0, 1.0, 0.0]).copy(order="F")  # of rho and the slack; PIQP wants columns
+_HESSIAN = np.diag([1.0, 1.0, 1.0, 0.0]).copy(order="F")  # the Hessian of rho and the slack; PIQP wants columns
 _LINEAR = np.array([0.0, 0.0, 0.0, PENALTY])
 
 
@@ -106,7 +109,7 @@ def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: K
         span = min(age, params.age_cap_s)
         n, distance = _direction(minus(position, moved(place, v, span)))
         h = distance - params.distance - margin(age, sqrt(dot(v, v)), params)
-        moves = v if age <= params.age_cap_s else ZERO  # it is taken to wait where the extrapolation ends
+        moves = v if age <= params.age_cap_s else ZERO  # an old neighbour is taken to wait where the extrapolation ends
         own, its = dot(n, velocity), dot(n, moves)
         found.append(Bound(n, 0.5 * (own + its) - 0.5 * a * (h + lag * (own - its)), moves))
     for obstacle in params.obstacles:
@@ -146,7 +149,7 @@ def _widest(rho: Vec3, params: KeepApartParams) -> Vec3:
     return max(params.speed, abs(x)), max(params.speed, abs(y)), max(params.climb, abs(z))
 
 
-_Row = tuple[float, float, float, float, float]  # of a constraint on rho and the slack: four factors, and the least sum
+_Row = tuple[float, float, float, float, float]  # a constraint on rho and the slack: four factors, and the least sum
 
 
 def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], widest: Vec3) -> Vec3 | None:
@@ -250,7 +253,7 @@ def _aside(bound: Bound, rho: Vec3) -> Vec3:
     level = hypot(x, y)
     if level == 0.0:
         return ZERO  # straight above or below: no side
-    starboard = (y / level, -x / level, 0.0)  # of the course -n
+    starboard = (y / level, -x / level, 0.0)  # starboard of the course -n
     relative = minus(rho, bound.moves)
     port = dot(starboard, relative) < -SIDE * sqrt(dot(relative, relative))
     return scale(starboard, -1.0) if port else starboard

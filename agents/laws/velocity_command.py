@@ -1,8 +1,12 @@
-"""Compute the commanded speed and direction from the consensus error (eqs. 11, 12, 21).
+"""The consensus error of one vehicle, and the commanded speed and direction that follow from it (eqs. 8, 11, 12, 21).
 
 | symbol | meaning | unit | frame | paper |
 |---|---|---|---|---|
-| e | consensus error | m | NED | (8) |
+| e_i | consensus error | m | NED | (8) |
+| a_ij, b_i | weight of neighbour j, weight of the own reference | 1 | - | (8) |
+| Delta_ij | desired offset, p_i - p_j | m | NED | (8) |
+| pd_i | desired position, eta_1^d(t) + p_i | m | NED | (11) |
+| c_i = sum_j a_ij + b_i | total weight | 1 | - | (18) |
 | K = diag(k1, k2, k3) | gain of the virtual control | 1/s | NED | (11) |
 | rho | virtual control, the commanded velocity | m/s | NED | (11) |
 | v_d | velocity of the reference | m/s | NED | (11) |
@@ -16,15 +20,6 @@ from math import atan2, hypot, sqrt
 
 from agents.sample import NeighbourState
 from world.vectors import Vec3
-
-# --- consensus error of one vehicle (eq. 8).
-# | symbol | meaning | unit | frame | paper |
-# |---|---|---|---|---|
-# | e_i | consensus error | m | NED | (8) |
-# | a_ij, b_i | weight of neighbour j, weight of the own reference | 1 | - | (8) |
-# | Delta_ij | desired offset, p_i - p_j | m | NED | (8) |
-# | pd_i | desired position, eta_1^d(t) + p_i | m | NED | (11) |
-# | c_i = sum_j a_ij + b_i | total weight | 1 | - | (18) |
 
 
 def consensus_error(position: Vec3, desired: Vec3, b: float, heard: Iterable[NeighbourState]) -> tuple[Vec3, float]:

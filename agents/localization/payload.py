@@ -29,7 +29,7 @@ VERSION = 2
 _BODY = Struct("<BHI3i3h3fB")
 _WHOLE = Struct("<BHI3i3h3fBI")
 SIZE = _WHOLE.size
-_MOST_M2 = 1e12  # of a variance; with more the squares in a filter may overflow
+_MOST_M2 = 1e12  # the largest variance; with more the squares in a filter may overflow
 _FIRST = bytes((VERSION,))
 
 
@@ -37,8 +37,8 @@ class LocatedMessage(NamedTuple):
     """The decoded content of one payload."""
 
     state: StateMessage
-    covariance: tuple[float, float, float]  # of north and east: nn, ne, ee [m^2]
-    fixed: bool  # by own instruments alone, which had a fix of late
+    covariance: tuple[float, float, float]  # nn, ne, ee of north and east [m^2]
+    fixed: bool  # true: the place is by own instruments alone, which had a fix of late
 
 
 def is_located(data: bytes) -> bool:

@@ -1,4 +1,4 @@
-"""The methods and values that a class needs to be used as a law."""
+"""Laws of the user: what a class needs to be one, and the fence that it runs behind."""
 
 from __future__ import annotations
 
@@ -18,8 +18,53 @@ from world.plugins.trust import permitted_file
 from world.signal import Signal
 from world.vectors import Vec3
 
-# --- fenced law
-# A law of the user behind a fence.
+# What a class of each kind must be able to do, and with what it is called.
+METHODS: dict[str, dict[str, tuple[str, ...]]] = {
+    "controller": {"step": ("sample",)},
+    "guidance": {"step": ("sample",)},
+    "tracking": {"step": ("sample", "command")},
+    "agent": {"transmit": ("nav",), "decide": ("nav", "deliveries")},
+}
+
+
+def load(kind: str, law: Law) -> type[Any]:
+    """Import the class of a user's law, and check it.
+
+    Args:
+        kind: controller, guidance, tracking or agent.
+        law: its name is `package.module:Class`, that of an entry point in group `uuv_fleet.controllers`, or a file:
+            `program:FILE`.
+
+    Returns:
+        The class.
+
+    Raises:
+        UntrustedError: the module is not installed, and `admit` has not allowed it.
+        PluginError: the class does not exist, lacks a method, or does not take these parameters.
+    """
+    if unit_file(kind, law.name):
+        made: type[Any] = file_class(kind, law.name, law.parameters)
+        _check(kind, law, made)
+        return made
+    return load_class(kind, law.name, lambda law_class: _check(kind, law, law_class))
+
+
+def with_whole_path(law: Law) -> Law:
+    """The same law; one that is a file which may run is named by its whole path, for the process that will run it."""
+    if not unit_file("agent", law.name):
+        return law
+    try:
+        path = permitted_file("agent", law.name)
+    except UntrustedError:
+        return law
+    return replace(law, name=f"{law.name.partition(':')[0]}:{path}")
+
+
+def _check(kind: str, law: Law, law_class: Any) -> None:
+    check_class(kind, law.name, law_class, METHODS[kind], law.parameters, "the agent's own slice of the scenario")
+    # A guidance law's signals share their topic with what every agent reports.
+    taken = frozenset(signal.name for signal in (*HEARD, *COMMANDED)) if kind == "guidance" else frozenset[str]()
+    check_signals(kind, law.name, getattr(law_class, "signals", None), taken)
 
 
 def law_fence(config: AgentConfig, law: Law, notes: list[tuple[int, str]]) -> Fence:
@@ -50,48 +95,3 @@ class FencedLaw:
             raise fence.wrong(tick, method, f"returned {shown(answer)}: expected ({self._what}, telemetry)")
         vector = fence.vector(tick, method, self._what, answer[0])
         return vector, fence.telemetry(tick, method, self._signals, answer[1])
-
-
-# What a class of each kind must be able to do, and with what it is called.
-METHODS: dict[str, dict[str, tuple[str, ...]]] = {
-    "controller": {"step": ("sample",)},
-    "guidance": {"step": ("sample",)},
-    "tracking": {"step": ("sample", "command")},
-    "agent": {"transmit": ("nav",), "decide": ("nav", "deliveries")},
-}
-
-
-def load(kind: str, law: Law) -> type[Any]:
-    """Import the class of a user's law, and check it.
-
-    Args:
-        kind: controller, guidance, tracking or agent.
-        law: its name is `package.module:Class`, or that of an entry point in group `uuv_fleet.controllers`.
-
-    Raises:
-        UntrustedError: the module is not installed, and `admit` has not allowed it.
-        PluginError: the class does not exist, lacks a method, or does not take these parameters.
-    """
-    if unit_file(kind, law.name):
-        made: type[Any] = file_class(kind, law.name, law.parameters)
-        _check(kind, law, made)
-        return made
-    return load_class(kind, law.name, lambda law_class: _check(kind, law, law_class))
-
-
-def with_whole_path(law: Law) -> Law:
-    """The same law; one that is a file which may run is named by its whole path, for the process that will run it."""
-    if not unit_file("agent", law.name):
-        return law
-    try:
-        path = permitted_file("agent", law.name)
-    except UntrustedError:
-        return law
-    return replace(law, name=f"{law.name.partition(':')[0]}:{path}")
-
-
-def _check(kind: str, law: Law, law_class: Any) -> None:
-    check_class(kind, law.name, law_class, METHODS[kind], law.parameters, "the agent's own slice of the scenario")
-    # A guidance law's signals share their topic with what every agent reports.
-    taken = frozenset(signal.name for signal in (*HEARD, *COMMANDED)) if kind == "guidance" else frozenset[str]()
-    check_signals(kind, law.name, getattr(law_class, "signals", None), taken)

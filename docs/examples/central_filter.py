@@ -103,7 +103,7 @@ class Central:
             self.use(h, place[axis] - self.x[i, axis], sigma * sigma)
 
     def range(self, i: int, j: int, deeper: float, measured: float, sigma: float) -> None:
-        """A range between vehicles i and j, of second order as in agents/localization/localizer.py."""
+        """A range between vehicles i and j, of second order as in agents/localization/range_fusion.py."""
         d = self.x[i, :2] - self.x[j, :2]
         far = hypot(*d, deeper)
         h = np.zeros(len(self.p))

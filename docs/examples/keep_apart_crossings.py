@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.scenario.loading import parse_scenario
 
 SEED = 22

@@ -21,7 +21,10 @@ G v_j / sum_j a_ij.
 
 With w = 1/z the function prod det(I - w P_i) det(I - T) is analytic within |w| <= 1, and its zeros there are the modes
 that grow. So their number is that of the unstable eigenvalues of the P_i plus the turns of det(I - T) around 0 along
-the unit circle (argument principle). Long delays cost nothing this way: they are factors z^-h.
+the unit circle (argument principle). Long delays cost nothing this way: they are factors z^-h. It takes 2 ms; the
+eigenvalues of a long delay over fine rounds take 10 s. Delays are scanned, not bisected, because the unstable delays
+begin with islands. The rules of thumb of `fleet.analysis.stability` promise a gain 1.2 times, and a delay about twice,
+as large as the simulation bears.
 
 Left out: loss, jitter, noise, disturbance, limits of the actuators, everything nonlinear. A gain that is optimised is
 taken as held: in the formation e = 0, and how the gain depends on e is of second order in rho = v_d - K e. Under
@@ -38,109 +41,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fleet.analysis.linear import Array, Flight, Linear, NotLinear, linearise
+from fleet.analysis.linear import (
+    LOOPS,
+    Array,
+    Complex,
+    Flight,
+    Linear,
+    Link,
+    Member,
+    NotLinear,
+    VehicleRound,
+    linearise,
+)
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.graph import reached
 from world.vectors import Vec3
-
-# --- vehicle round
-# One vehicle of the linearised fleet over one round: what it does by itself, and what messages do to it.
-#
-# `fleet.analysis.border` explains the symbols.
-
-
-Complex = np.ndarray[Any, np.dtype[np.complex128]]
-LOOPS = ("speed", "course", "pitch")  # they move a vehicle ahead, to starboard, down
-MOST_CONDITION = 1e8  # of eigenvectors; in the scenarios that ship it is at most 1e6
-
-
-class Link(NamedTuple):
-    """A link into a vehicle."""
-
-    sender: int  # counted from 0
-    weight: float  # a_ij
-    delay: int  # d [ticks]
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Member:
-    """A vehicle in the fleet's linear map."""
-
-    linear: Linear
-    b: float
-    links: tuple[Link, ...]
-    reckons: bool  # whether it extrapolates with the velocity that a neighbour sent
-    age_cap: int | None  # ticks
-    pattern: Array  # (3, 3): K is a number times this, path axes
-    told: bool = True  # whether it knows v_d; otherwise v_d is the weighted mean of what its neighbours sent
-
-    @property
-    def c(self) -> float:
-        """Total weight of its consensus error."""
-        return self.b + sum(link.weight for link in self.links)
-
-
-class VehicleRound:
-    """A vehicle over one round, with its own feedback. Vehicles that differ only in their neighbours share one."""
-
-    def __init__(self, member: Member, gain: float, m: int, tick_s: float, outputs: int) -> None:
-        F, G, C = member.linear
-        self.m, self.outputs = m, outputs
-        self._C = C[:outputs]
-        K = gain * member.pattern
-        own = F + member.c * G @ K @ C[:3]
-        # What a command at phase f has become at the end of the round: own^(m-1-f) G.
-        self._later = np.empty((m, len(F), 3))
-        after = G
-        for f in range(m - 1, -1, -1):
-            self._later[f] = after
-            after = own @ after
-        self._P = np.linalg.matrix_power(own, m)
-        self.poles, vectors = np.linalg.eig(self._P)
-        self.unstable = int((np.abs(self.poles) > 1.0).sum())
-        self.growth = float(np.abs(self.poles).max())
-        # In terms of the eigenvectors of P the resolvent is a division. If eigenvalues meet, the vectors may not span
-        # the space, and `resolvent` solves a linear system.
-        self._outputs = self._C @ vectors
-        simple = np.linalg.cond(vectors) < MOST_CONDITION
-        self._inputs: Complex | None = np.linalg.inv(vectors) if simple else None
-        self._K, self._heard = K, None if member.told else member.c - member.b
-        self._reckons, self._cap, self._tick_s = member.reckons, member.age_cap, tick_s
-
-    def own_mode(self) -> tuple[float, str]:
-        """Angle of the largest eigenvalue of P, and the loop that it moves most."""
-        at = int(np.argmax(np.abs(self.poles)))
-        moved = np.abs(self._outputs[:3, at])
-        return abs(float(np.angle(self.poles[at]))), LOOPS[int(np.argmax(moved))]
-
-    def resolvent(self, z: Complex, S: Any) -> Complex:
-        """C (z - P)^-1 S at every z, for S (states, outputs)."""
-        if self._inputs is None:
-            moved: Complex = np.linalg.solve(z[:, None, None] * np.eye(len(S)) - self._P, S.astype(complex)[None])
-            return np.asarray(self._C @ moved)
-        each = self._outputs.T[:, :, None] * (self._inputs @ S)[:, None, :]  # what an eigenvector carries
-        shares: Complex = (1.0 / (z[:, None] - self.poles)) @ each.reshape(len(each), -1)
-        return shares.reshape(len(z), *each.shape[1:])
-
-    def answer(self, z: Complex, delay: int) -> Complex:
-        """C (z - P)^-1 S(z) for a link with a delay [ticks]."""
-        total = np.zeros((len(z), self.outputs, self.outputs), complex)
-        phases = np.arange(self.m)
-        back = -((phases - delay) // self.m)  # rounds since the message in use was sent
-        ages = phases + back * self.m
-        if self._cap is not None:
-            ages = np.minimum(ages, self._cap)
-        for h in sorted({*back.tolist()}):
-            used = self._later[back == h]
-            S = np.zeros((len(self._P), self.outputs))
-            S[:, :3] = used.sum(axis=0) @ self._K
-            if self._reckons:
-                S[:, 3:] = np.tensordot(ages[back == h] * self._tick_s, used, 1) @ self._K
-            if self._heard:
-                S[:, 3:] += used.sum(axis=0) / self._heard
-            total += (z ** float(-h))[:, None, None] * self.resolvent(z, S)
-        return total
-
 
 # A vehicle that counts: its round, and of each link into it the sender's number, the weight, the delay [ticks].
 Row = tuple[VehicleRound, list[tuple[int, float, int]]]
@@ -149,7 +64,7 @@ MOST_VEHICLES = 20  # beyond it the computation takes seconds, and only the rule
 LEAST_GAIN, MOST_GAIN = 1e-3, 50.0  # 1/s, between which a border is looked for
 MOST_DELAY_S = 10.0
 MOST_WORK_S = 20.0  # vehicles times the longest delay of their links: 4 s of CPU, which grow faster than this
-FINE = 0.002  # of a border, relative
+FINE = 0.002  # relative accuracy of a border
 LIVE = 30.0  # rad/s: the loops of the vehicles are slower
 SLOW = 0.2  # rad/s
 

@@ -15,12 +15,15 @@ linearisation serves every gain. Path axes are NED turned about the vertical by 
 A function with a corner at steady flight is not linear there: a limit that is reached, slew, a boundary layer of 0.
 Limits and slew are inactive for small deviations; the boundary layer of sliding mode is above 0, and inside it the law
 is linear.
+
+`Linear` is one tick, and `VehicleRound` a round: what the vehicle does by itself, and what messages do to it. The
+symbols of a round are those of `fleet.analysis.border`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, sin
 from typing import Any, NamedTuple
 
@@ -28,18 +31,22 @@ import numpy as np
 
 from agents.config import AgentConfig, Law
 from agents.controllers import TRACKING, Cascade
-from agents.laws.kinematics import RateFilter, earth_velocity
+from agents.laws.angles import RateFilter
+from agents.laws.kinematics import earth_velocity
 from agents.laws.velocity_command import clip
 from agents.sample import Sample
 from agents.trajectory import Motion
 from fleet.errors import FleetError
-from world.config import VehicleParams
 from world.dynamics import coefficients, rk4_step
 from world.vectors import Vec3, Vec5
+from world.vehicle_params import VehicleParams
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
+Complex = np.ndarray[Any, np.dtype[np.complex128]]
+LOOPS = ("speed", "course", "pitch")  # the loops that move a vehicle ahead, to starboard, down
+MOST_CONDITION = 1e8  # condition of eigenvectors; at most 1e6 in the scenarios that ship
 
-STEP = 1e-6  # of the central differences: m, rad, m/s and so on
+STEP = 1e-6  # step of the central differences: m, rad, m/s and so on
 STEADY = 1e-9  # what may be left per tick of a motion that is called steady
 _PLANT = 10  # x, y, z, theta, psi, u, v, w, q, r
 _CALM5: Vec5 = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -179,3 +186,91 @@ def _turned(vector: Vec3, angle: float) -> Vec3:
     x, y, z = vector
     c, s = cos(angle), sin(angle)
     return c * x - s * y, s * x + c * y, z
+
+
+class Link(NamedTuple):
+    """A link into a vehicle."""
+
+    sender: int  # counted from 0
+    weight: float  # a_ij
+    delay: int  # d [ticks]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Member:
+    """A vehicle in the fleet's linear map."""
+
+    linear: Linear
+    b: float
+    links: tuple[Link, ...]
+    reckons: bool  # whether it extrapolates with the velocity that a neighbour sent
+    age_cap: int | None  # ticks
+    pattern: Array  # (3, 3): K is a number times this, path axes
+    told: bool = True  # whether it knows v_d; otherwise v_d is the weighted mean of what its neighbours sent
+
+    @property
+    def c(self) -> float:
+        """Total weight of its consensus error."""
+        return self.b + sum(link.weight for link in self.links)
+
+
+class VehicleRound:
+    """A vehicle over one round, with its own feedback. Vehicles that differ only in their neighbours share one."""
+
+    def __init__(self, member: Member, gain: float, m: int, tick_s: float, outputs: int) -> None:
+        F, G, C = member.linear
+        self.m, self.outputs = m, outputs
+        self._C = C[:outputs]
+        K = gain * member.pattern
+        own = F + member.c * G @ K @ C[:3]
+        # What a command at phase f has become at the end of the round: own^(m-1-f) G.
+        self._later = np.empty((m, len(F), 3))
+        after = G
+        for f in range(m - 1, -1, -1):
+            self._later[f] = after
+            after = own @ after
+        self._P = np.linalg.matrix_power(own, m)
+        self.poles, vectors = np.linalg.eig(self._P)
+        self.unstable = int((np.abs(self.poles) > 1.0).sum())
+        self.growth = float(np.abs(self.poles).max())
+        # In terms of the eigenvectors of P the resolvent is a division. If eigenvalues meet, the vectors may not span
+        # the space, and `resolvent` solves a linear system.
+        self._outputs = self._C @ vectors
+        simple = np.linalg.cond(vectors) < MOST_CONDITION
+        self._inputs: Complex | None = np.linalg.inv(vectors) if simple else None
+        self._K, self._heard = K, None if member.told else member.c - member.b
+        self._reckons, self._cap, self._tick_s = member.reckons, member.age_cap, tick_s
+
+    def own_mode(self) -> tuple[float, str]:
+        """Angle of the largest eigenvalue of P, and the loop that it moves most."""
+        at = int(np.argmax(np.abs(self.poles)))
+        moved = np.abs(self._outputs[:3, at])
+        return abs(float(np.angle(self.poles[at]))), LOOPS[int(np.argmax(moved))]
+
+    def resolvent(self, z: Complex, S: Any) -> Complex:
+        """C (z - P)^-1 S at every z, for S (states, outputs)."""
+        if self._inputs is None:
+            moved: Complex = np.linalg.solve(z[:, None, None] * np.eye(len(S)) - self._P, S.astype(complex)[None])
+            return np.asarray(self._C @ moved)
+        each = self._outputs.T[:, :, None] * (self._inputs @ S)[:, None, :]  # what an eigenvector carries
+        shares: Complex = (1.0 / (z[:, None] - self.poles)) @ each.reshape(len(each), -1)
+        return shares.reshape(len(z), *each.shape[1:])
+
+    def answer(self, z: Complex, delay: int) -> Complex:
+        """C (z - P)^-1 S(z) for a link with a delay [ticks]."""
+        total = np.zeros((len(z), self.outputs, self.outputs), complex)
+        phases = np.arange(self.m)
+        back = -((phases - delay) // self.m)  # rounds since the message in use was sent
+        ages = phases + back * self.m
+        if self._cap is not None:
+            ages = np.minimum(ages, self._cap)
+        for h in sorted({*back.tolist()}):
+            used = self._later[back == h]
+            S = np.zeros((len(self._P), self.outputs))
+            S[:, :3] = used.sum(axis=0) @ self._K
+            if self._reckons:
+                S[:, 3:] = np.tensordot(ages[back == h] * self._tick_s, used, 1) @ self._K
+            if self._heard:
+                S[:, 3:] += used.sum(axis=0) / self._heard
+            total += (z ** float(-h))[:, None, None] * self.resolvent(z, S)
+        return total

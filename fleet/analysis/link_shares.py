@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from fleet.scenario.scenario import Scenario
-from netem.condition import Link, lost_share
+from netem.condition import Link
+from netem.correlation import lost_share
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 

@@ -1,4 +1,8 @@
-"""Known before a run: what may draw from the seed; checks that cannot pass, faults that do nothing, a large log."""
+"""Warnings before a run: checks that cannot pass, faults that do nothing, a large log.
+
+They are no errors, because `--duration` may shorten a run until checks cannot be judged, and faults may be injected
+live.
+"""
 
 from __future__ import annotations
 
@@ -10,167 +14,26 @@ from math import ceil, dist, log
 from agents.config import Law
 from agents.plugins.laws import load
 from fleet.analysis.link_shares import short_traces
-from fleet.analysis.stability import oldest_s, slot_warnings
+from fleet.analysis.slots import slot_warnings
+from fleet.analysis.stability import oldest_s
 from fleet.quantities import show_time, vehicle_names, vehicle_numbers
 from fleet.recorder.settling import least_s
 from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY
-from fleet.scenario.schema.control import KeepApartSection
-from fleet.scenario.sections.clocks import clock_sections
-from netem.condition import DEFAULT_LIMIT, Link, effective
-from netem.link_states import LinkStates
-from netem.link_trace import LinkTrace
+from fleet.scenario.schema.keep_apart import KeepApartSection
+from netem.condition import DEFAULT_LIMIT, Link
+from netem.correlation import effective
 from world.errors import PluginError
-from world.navigation.config import DeadReckoning
 from world.vectors import Vec3, plus
-
-
-def may_draw(scenario: Scenario) -> list[str]:
-    """The parts of a scenario that may draw from the seed. If there are none, every seed gives the same run."""
-    spec, changing = scenario.spec, scenario.changing.values()
-    conditions = [one for some in scenario.possible.values() for one in some]
-    parts = {
-        "initial scatter": spec.initial.scatter is not None and spec.initial.scatter.scatter > 0.0,
-        "random graph": spec.graph.shape == "random",
-        "sensor noise": not scenario.noise.off,
-        "navigation": any(isinstance(control.navigation, DeadReckoning) for control in scenario.controls),
-        "clocks": any(clock.drift or clock.offset for clock in clock_sections(spec)),
-        "current": any(spec.sea.current.sigma),
-        "link states": any(isinstance(its, LinkStates) for its in changing),
-        "traces": any(isinstance(its, LinkTrace) and its.offset for its in changing),
-        "link conditions": any(
-            c.jitter_ns or c.loss or c.loss_model or c.duplicate or c.corrupt or c.reorder for c in conditions
-        ),
-        "acoustic channel": scenario.acoustic is not None,
-        "faults": bool(spec.faults or spec.triggers or spec.nemesis),
-        "laws of yours": bool(scenario.other_laws),
-        "plants": bool(scenario.plants),
-    }
-    return [part for part, draws in parts.items() if draws]
-
-
-# --- forgetting: protocols that forget a neighbour after a silence: how long that must be for the loss of their links
-
-
-PARAMETER = "forget_after_s"
-RARE = 1e-5  # probability of such a silence that does no harm (docs/guide/protocols/average.md, High loss)
-
-
-def forgetting_warnings(scenario: Scenario) -> Iterator[str]:
-    """A warning if all messages of `forget_after_s` may be lost, so that vehicles forget living neighbours."""
-    period_s = scenario.round_ticks * scenario.tick_ns / 1e9
-    forget_s = [None if control.agent is None else _forget_after_s(control.agent) for control in scenario.controls]
-    worst: dict[float, tuple[float, Link]] = {}  # by how long agents wait: the largest loss, and its link
-    for link, loss in _losses(scenario).items():
-        after_s = forget_s[link[1] - 1]
-        if after_s is not None and loss > worst.get(after_s, (0.0, link))[0]:
-            worst[after_s] = loss, link
-    for after_s, (loss, (src, dst)) in worst.items():
-        needed_s = period_s * log(RARE) / log(loss)
-        if after_s < needed_s:
-            yield (
-                f"agent {dst} takes a neighbour for gone after {PARAMETER} = {after_s:g} s, and the link {src}->{dst} "
-                f"loses {100 * loss:g}% of the packets: all that come in this time are lost with a probability of "
-                f"{loss ** int(after_s / period_s):.1g}; {PARAMETER}: {ceil(10 * needed_s) / 10:g} makes it {RARE:g}"
-            )
-
-
-def _losses(scenario: Scenario) -> dict[Link, float]:
-    """The largest loss of each link that loses some packets, one by one; by itself or through a fault."""
-    given = [*scenario.conditions.items()]
-    for fault in scenario.faults.network:
-        if fault.condition is not None:
-            given += [(link, fault.condition) for link in fault.links]
-    found: dict[Link, float] = {}
-    for link, condition in given:
-        if 0.0 < condition.loss < 1.0 and condition.loss_model is None and not condition.loss_correlation:
-            found[link] = max(condition.loss, found.get(link, 0.0))
-    return found
-
-
-def _forget_after_s(law: Law) -> float | None:
-    """The parameter's value, or its default; None of a law that has none, or may not be imported now."""
-    given = law.parameters.get(PARAMETER)
-    if given is None:
-        try:
-            parameter = inspect.signature(load("agent", law)).parameters.get(PARAMETER)
-        except PluginError:
-            return None
-        given = None if parameter is None else parameter.default
-    return float(given) if isinstance(given, int | float) else None
-
-
-# --- keep apart: limits of the section `keep_apart` in a scenario, as warnings before a run
-
-
-def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
-    """One sentence for each; none without the section."""
-    section = scenario.spec.keep_apart
-    if section is None:
-        return
-    controls = list(enumerate(scenario.controls, start=1))
-    agents = [i for i, control in controls if control.agent is not None]
-    if agents:
-        yield (
-            f"keep_apart acts only within a FormationAgent: if the agent of {vehicle_names(agents)} has none, or "
-            "commands the vehicle by itself, this vehicle does not keep apart, and the others do their half only"
-        )
-    without = [i for i, control in controls if control.agent is None and control.controller is not None]
-    if without:
-        yield (
-            f"keep_apart acts between guidance and tracking: {vehicle_names(without)} with a law in place of both "
-            f"{'does' if len(without) == 1 else 'do'} not keep apart, and the others do their half only"
-        )
-    links = set(scenario.graph.links)
-    pairs = combinations(range(1, scenario.vehicles + 1), 2)
-    deaf = [(i, j) for i, j in pairs if (i, j) not in links or (j, i) not in links]
-    if deaf:
-        more = f", and {len(deaf) - 1} more pairs like them" if len(deaf) > 1 else ""
-        yield (
-            f"keep_apart: vehicles {deaf[0][0]} and {deaf[0][1]} do not both hear each other{more}; a vehicle keeps "
-            "apart from those that it hears, so add links to the graph"
-        )
-    steepest = max(abs(_climb(scenario, t)) for t in range(scenario.duration_ns // 1_000_000_000 + 1))
-    if steepest > section.climb:
-        yield (
-            f"keep_apart: the course of a vehicle climbs or dives with up to {steepest:.3g} m/s, but keep_apart.climb "
-            f"limits every command to {section.climb:g} m/s, so the vehicle falls behind"
-        )
-    yield from _obstacle_too_near("at the start", [eta[:3] for eta, _ in scenario.initial], section)
-    end = scenario.duration_ns / 1e9
-    place = scenario.reference.at(end).position
-    there = [plan.at(end).position for plan in scenario.plans]
-    yield from _obstacle_too_near("in the formation at the end", [plus(place, offset) for offset in there], section)
-
-
-def _climb(scenario: Scenario, t: float) -> float:
-    """The fastest climb or dive that any vehicle is to make at a time [s], downwards positive [m/s]."""
-    down = scenario.reference.at(t).velocity[2]
-    return max((down + plan.at(t).velocity[2] for plan in scenario.plans), key=abs)
-
-
-def _obstacle_too_near(when: str, places: Sequence[Vec3], section: KeepApartSection) -> Iterator[str]:
-    numbered = list(enumerate(places, start=1))
-    pairs = [(dist(p, q), i, j) for (i, p), (j, q) in combinations(numbered, 2)]
-    nearest = min(pairs, default=None)
-    if nearest is not None and nearest[0] < section.distance:
-        yield (
-            f"keep_apart: {when} vehicles {nearest[1]} and {nearest[2]} are {nearest[0]:.4g} m apart, but "
-            f"keep_apart.distance is {section.distance:g} m"
-        )
-    for number, obstacle in enumerate(section.obstacles, start=1):
-        inside = [i for i, (north, east, _) in numbered if dist((north, east), obstacle.at) < obstacle.radius]
-        if inside:
-            verb = "is" if len(inside) == 1 else "are"
-            yield f"keep_apart: {when} {vehicle_names(inside)} {verb} within obstacle {number}"
-
 
 LARGE_MB = 50.0  # from which on a warning about the size is given
 MESSAGE_BYTES = 70  # in a log, compressed and indexed: 68 to 72 measured with 3, 4 and 12 vehicles
 THIN = "log: {every: 10 ticks}"
 _MANY = 100  # packets per second
 BY_ROUND = OF_ROBOTS  # faults that act at round ticks only
+PARAMETER = "forget_after_s"
+RARE = 1e-5  # probability of such a silence that does no harm (docs/guide/protocols/average.md, High loss)
 
 
 def warnings(scenario: Scenario) -> list[str]:
@@ -329,3 +192,109 @@ def _correlated(scenario: Scenario) -> Iterator[str]:
                 "delays keep their distribution, and each is independent of the one before"
             ] = None
     yield from found
+
+
+def forgetting_warnings(scenario: Scenario) -> Iterator[str]:
+    """A warning if all messages of `forget_after_s` may be lost, so that vehicles forget living neighbours."""
+    period_s = scenario.round_ticks * scenario.tick_ns / 1e9
+    forget_s = [None if control.agent is None else _forget_after_s(control.agent) for control in scenario.controls]
+    worst: dict[float, tuple[float, Link]] = {}  # by how long agents wait: the largest loss, and its link
+    for link, loss in _losses(scenario).items():
+        after_s = forget_s[link[1] - 1]
+        if after_s is not None and loss > worst.get(after_s, (0.0, link))[0]:
+            worst[after_s] = loss, link
+    for after_s, (loss, (src, dst)) in worst.items():
+        needed_s = period_s * log(RARE) / log(loss)
+        if after_s < needed_s:
+            yield (
+                f"agent {dst} takes a neighbour for gone after {PARAMETER} = {after_s:g} s, and the link {src}->{dst} "
+                f"loses {100 * loss:g}% of the packets: all that come in this time are lost with a probability of "
+                f"{loss ** int(after_s / period_s):.1g}; {PARAMETER}: {ceil(10 * needed_s) / 10:g} makes it {RARE:g}"
+            )
+
+
+def _losses(scenario: Scenario) -> dict[Link, float]:
+    """The largest loss of each link that loses some packets, one by one; by itself or through a fault."""
+    given = [*scenario.conditions.items()]
+    for fault in scenario.faults.network:
+        if fault.condition is not None:
+            given += [(link, fault.condition) for link in fault.links]
+    found: dict[Link, float] = {}
+    for link, condition in given:
+        if 0.0 < condition.loss < 1.0 and condition.loss_model is None and not condition.loss_correlation:
+            found[link] = max(condition.loss, found.get(link, 0.0))
+    return found
+
+
+def _forget_after_s(law: Law) -> float | None:
+    """The parameter's value, or its default; None of a law that has none, or may not be imported now."""
+    given = law.parameters.get(PARAMETER)
+    if given is None:
+        try:
+            parameter = inspect.signature(load("agent", law)).parameters.get(PARAMETER)
+        except PluginError:
+            return None
+        given = None if parameter is None else parameter.default
+    return float(given) if isinstance(given, int | float) else None
+
+
+def keep_apart_warnings(scenario: Scenario) -> Iterator[str]:
+    """One sentence for each; none without the section."""
+    section = scenario.spec.keep_apart
+    if section is None:
+        return
+    controls = list(enumerate(scenario.controls, start=1))
+    agents = [i for i, control in controls if control.agent is not None]
+    if agents:
+        yield (
+            f"keep_apart acts only within a FormationAgent: if the agent of {vehicle_names(agents)} has none, or "
+            "commands the vehicle by itself, this vehicle does not keep apart, and the others do their half only"
+        )
+    without = [i for i, control in controls if control.agent is None and control.controller is not None]
+    if without:
+        yield (
+            f"keep_apart acts between guidance and tracking: {vehicle_names(without)} with a law in place of both "
+            f"{'does' if len(without) == 1 else 'do'} not keep apart, and the others do their half only"
+        )
+    links = set(scenario.graph.links)
+    pairs = combinations(range(1, scenario.vehicles + 1), 2)
+    deaf = [(i, j) for i, j in pairs if (i, j) not in links or (j, i) not in links]
+    if deaf:
+        more = f", and {len(deaf) - 1} more pairs like them" if len(deaf) > 1 else ""
+        yield (
+            f"keep_apart: vehicles {deaf[0][0]} and {deaf[0][1]} do not both hear each other{more}; a vehicle keeps "
+            "apart from those that it hears, so add links to the graph"
+        )
+    steepest = max(abs(_climb(scenario, t)) for t in range(scenario.duration_ns // 1_000_000_000 + 1))
+    if steepest > section.climb:
+        yield (
+            f"keep_apart: the course of a vehicle climbs or dives with up to {steepest:.3g} m/s, but keep_apart.climb "
+            f"limits every command to {section.climb:g} m/s, so the vehicle falls behind"
+        )
+    yield from _obstacle_too_near("at the start", [eta[:3] for eta, _ in scenario.initial], section)
+    end = scenario.duration_ns / 1e9
+    place = scenario.reference.at(end).position
+    there = [plan.at(end).position for plan in scenario.plans]
+    yield from _obstacle_too_near("in the formation at the end", [plus(place, offset) for offset in there], section)
+
+
+def _climb(scenario: Scenario, t: float) -> float:
+    """The fastest climb or dive that any vehicle is to make at a time [s], downwards positive [m/s]."""
+    down = scenario.reference.at(t).velocity[2]
+    return max((down + plan.at(t).velocity[2] for plan in scenario.plans), key=abs)
+
+
+def _obstacle_too_near(when: str, places: Sequence[Vec3], section: KeepApartSection) -> Iterator[str]:
+    numbered = list(enumerate(places, start=1))
+    pairs = [(dist(p, q), i, j) for (i, p), (j, q) in combinations(numbered, 2)]
+    nearest = min(pairs, default=None)
+    if nearest is not None and nearest[0] < section.distance:
+        yield (
+            f"keep_apart: {when} vehicles {nearest[1]} and {nearest[2]} are {nearest[0]:.4g} m apart, but "
+            f"keep_apart.distance is {section.distance:g} m"
+        )
+    for number, obstacle in enumerate(section.obstacles, start=1):
+        inside = [i for i, (north, east, _) in numbered if dist((north, east), obstacle.at) < obstacle.radius]
+        if inside:
+            verb = "is" if len(inside) == 1 else "are"
+            yield f"keep_apart: {when} {vehicle_names(inside)} {verb} within obstacle {number}"

@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec import convert
 
-from fleet.result.result import Punctual, Spread, Timing
+from fleet.result.timing import Punctual, Spread, Timing
 from fleet.result.verdict import Verdict
 from fleet.scenario.schema.checks import PunctualCheck
 from netem.histogram import PER_DECADE

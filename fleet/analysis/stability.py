@@ -20,131 +20,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from math import inf
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fleet.analysis.border import MOST_DELAY_S, LinearFleet, Mode, linear_fleet
 from fleet.analysis.linear import NotLinear
+from fleet.analysis.slots import describe_slack
 from fleet.quantities import vehicle_names
 from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.acoustic import SIZES, describe_noise, describe_turns, extent_m, greatest_age_s
+from fleet.scenario.sections.acoustic import describe_noise
 from fleet.scenario.sections.graph import reached
 from fleet.scenario.sections.per_vehicle import Control
-from netem.vehicle_clock import Clocks
+from fleet.scenario.sections.turns import describe_turns, greatest_age_s
 from world.vectors import Vec3
 
-# --- spectrum: the eigenvalues of a graph's matrices: fast and real where the graph allows it
-
-
-_SAME = 1e-9  # of a ratio's logarithm
-
-
-def eigenvalues(M: Any) -> Any:
-    """The eigenvalues of a real matrix (n, n) as an array (n,), real if `M` is a symmetric matrix in other units.
-
-    A graph has such a matrix if its links go both ways and the weights around each cycle are equal in both directions.
-    The general method is slow (1,000 vehicles: 4 s instead of 0.2 s), and adds small imaginary parts for a long chain.
-    """
-    symmetric = _symmetric(M)
-    return np.linalg.eigvals(M) if symmetric is None else np.linalg.eigvalsh(symmetric)
-
-
-def _symmetric(M: Any) -> Any | None:
-    linked = M != 0.0
-    products = M * M.T
-    if (linked & (products <= 0.0)).any():
-        return None
-    ratio = np.zeros(M.shape)
-    ratio[linked] = 0.5 * np.log(np.abs(M[linked] / M.T[linked]))  # log(d_j / d_i)
-    log_d = np.full(len(M), np.nan)
-    for start in range(len(M)):
-        if not np.isnan(log_d[start]):
-            continue
-        log_d[start] = 0.0
-        front = [start]
-        while front:
-            i = front.pop()
-            new = np.flatnonzero(linked[i] & np.isnan(log_d))
-            log_d[new] = log_d[i] + ratio[i, new]
-            front.extend(new.tolist())
-    if (np.abs(ratio - (log_d[None, :] - log_d[:, None]))[linked] > _SAME * len(M)).any():
-        return None
-    return np.sign(M) * np.sqrt(products)
-
-
-# --- slots: how far the clocks of a fleet may differ until time slots overlap
-# | symbol | meaning | unit |
-# |---|---|---|
-# | S, A | slot; the longest airtime of a payload in it | s |
-# | c | time that sound takes across the formation | s |
-# | Ts | tick: a modem starts at the first whole tick at which its clock shows the start of its slot | s |
-# | D | duration of the run | s |
-#
-# A slot is still clear of the one before if the clock of its vehicle is ahead of that of the other by less than
-#
-#     d = S - A - c - Ts,
-#
-# what is left of the guard. Two clocks that begin right and drift by no more than rho, one fast and one slow, differ by
-# 2 rho D at the end. So a drift within +-d / (2 D) is covered. Other pairs of vehicles than those of neighbouring slots
-# have whole slots between them.
-
-
-class Slack(NamedTuple):
-    """The time that slots leave for clocks that differ."""
-
-    difference_s: float  # d
-    drift: float  # of each clock, from the start to the end of the run [s/s]
-
-
-def slack(scenario: Scenario) -> Slack | None:
-    """The time that the slots of a scenario leave; None if it has no slots."""
-    acoustic = scenario.acoustic
-    if acoustic is None or acoustic.mac != "tdma":
-        return None
-    slot_ns, tick_ns = acoustic.slot_ticks * scenario.tick_ns, scenario.tick_ns
-    airtime_ns = slot_ns - acoustic.guard_ns  # what a user's agent sends may be as long as that
-    if all(control.agent is None for control in scenario.controls):
-        size = SIZES[scenario.spec.network.payload]
-        airtime_ns = max(acoustic.modem_of(i).airtime_ns(size) for i in range(1, scenario.vehicles + 1))
-    crossing_ns = acoustic.delay_ns(extent_m(scenario.plans))
-    left_s = max(0.0, (slot_ns - airtime_ns - crossing_ns - tick_ns) / 1e9)
-    return Slack(left_s, left_s / (2.0 * scenario.duration_ns / 1e9))
-
-
-def describe_slack(scenario: Scenario) -> Iterator[str]:
-    """One line on the clocks that the slots bear; none without slots."""
-    if (found := slack(scenario)) is not None:
-        yield (
-            f"clocks: time slots stay apart if clocks differ by less than {found.difference_s:.4g} s. Clocks that "
-            f"begin right may drift by up to {found.drift * 1e6:.4g} ppm, fast or slow, in a run of "
-            f"{scenario.duration_ns / 1e9:g} s"
-        )
-
-
-def slot_warnings(scenario: Scenario) -> Iterator[str]:
-    """A warning if the clocks of a scenario differ by more than its slots bear."""
-    found, clocks = slack(scenario), Clocks.that_differ(scenario.clocks, scenario.faults.world, scenario.tick_ns)
-    if found is None or clocks is None:
-        return
-    order = range(1, scenario.vehicles + 1)
-    changes = (tick for f in scenario.faults.world for tick in (f.begin, f.end) if f.kind == "clock")
-    times = {0, scenario.ticks, *(tick for tick in changes if tick is not None and tick <= scenario.ticks)}
-    # Only who is ahead of the vehicle of the slot before comes into its slot.
-    worst = max(
-        (clocks.ahead_ns(j, tick) - clocks.ahead_ns(i, tick), -tick, i, j)
-        for tick in times
-        for i, j in zip(order, [*order[1:], order[0]], strict=True)
-    )
-    if worst[0] / 1e9 > found.difference_s:
-        ahead_ns, tick, i, j = worst
-        at_s = -tick * scenario.tick_ns / 1e9
-        yield (
-            f"slots overlap: at {at_s:g} s the clock of vehicle {j} is {ahead_ns / 1e9:.4g} s ahead of that of vehicle "
-            f"{i}, which has the slot before. The guard allows {found.difference_s:.4g} s. Use a longer slot, or "
-            "better clocks"
-        )
+_SAME = 1e-9  # difference of two logarithms of ratios
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,12 +45,12 @@ class Analysis:
 
     components: list[list[int]]  # vehicles that are connected, links taken both ways
     unreached: list[int]  # vehicles that no chain of links connects with one that follows the reference
-    eigenvalues: list[complex]  # of L + B, by real part
+    eigenvalues: list[complex]  # eigenvalues of L + B, by real part
     spectral_radius_A: float
     gain_max: float | None  # 1/s; None when no vehicle of the paper's guidance is there
-    settled: Vec3 | None  # largest gain per axis at which it settles [1/s, NED]; likewise
+    settled: Vec3 | None  # largest gain per axis at which it settles [1/s, NED]; None as `gain_max`
     at_most: LinearFleet | None  # the whole loop, with gains in proportion to the largest
-    at_settled: LinearFleet | None  # and to those at which it settles
+    at_settled: LinearFleet | None  # the fleet with the gains at which it settles
     not_linear: str  # why there is none
     warnings: list[str] = field(default_factory=list)
 
@@ -334,7 +226,7 @@ def _longest_delay_ns(scenario: Scenario) -> int:
 
 
 def dead_reckoning(scenario: Scenario, found: Analysis, age_s: float) -> float | None:
-    """K tau rho(A) at an age; None where nobody extrapolates with the velocities that neighbours sent."""
+    """K tau rho(A) at an age; None where no vehicle extrapolates with the velocities that neighbours sent."""
     if found.gain_max is None or not any(control.extrapolation == "neighbour" for control in scenario.controls):
         return None
     return found.gain_max * age_s * found.spectral_radius_A
@@ -471,3 +363,36 @@ def _unreached(scenario: Scenario) -> list[int]:
 
 def _number(value: complex) -> str:
     return f"{value.real:.4g}" if abs(value.imag) < 1e-9 else f"{value.real:.4g}{value.imag:+.3g}i"
+
+
+def eigenvalues(M: Any) -> Any:
+    """The eigenvalues of a real matrix (n, n) as an array (n,), real if `M` is a symmetric matrix in other units.
+
+    A graph has such a matrix if its links go both ways and the weights around each cycle are equal in both directions.
+    The general method is slow (1,000 vehicles: 4 s instead of 0.2 s), and adds small imaginary parts for a long chain.
+    """
+    symmetric = _symmetric(M)
+    return np.linalg.eigvals(M) if symmetric is None else np.linalg.eigvalsh(symmetric)
+
+
+def _symmetric(M: Any) -> Any | None:
+    linked = M != 0.0
+    products = M * M.T
+    if (linked & (products <= 0.0)).any():
+        return None
+    ratio = np.zeros(M.shape)
+    ratio[linked] = 0.5 * np.log(np.abs(M[linked] / M.T[linked]))  # log(d_j / d_i)
+    log_d = np.full(len(M), np.nan)
+    for start in range(len(M)):
+        if not np.isnan(log_d[start]):
+            continue
+        log_d[start] = 0.0
+        front = [start]
+        while front:
+            i = front.pop()
+            new = np.flatnonzero(linked[i] & np.isnan(log_d))
+            log_d[new] = log_d[i] + ratio[i, new]
+            front.extend(new.tolist())
+    if (np.abs(ratio - (log_d[None, :] - log_d[:, None]))[linked] > _SAME * len(M)).any():
+        return None
+    return np.sign(M) * np.sqrt(products)

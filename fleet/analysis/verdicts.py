@@ -21,7 +21,7 @@ from fleet.scenario.schema.checks import (
     Tumbled,
 )
 from netem.condition import Link
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 
 
 def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Verdict]:
@@ -40,6 +40,8 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
     for name, judged in (("min_separation", _min_separation), ("max_age", _max_age), ("connected", _connected)):
         if (declared := getattr(checks, name)) is not None:
             verdicts.append(judged(declared, scenario, journal))
+    # These two always apply unless they are waived. Otherwise a run with `checks: {ledger: balanced}` would pass with
+    # three of four vehicles lost.
     tumbled, deaths = checks.tumbled or Tumbled(), checks.deaths or Standing()
     if not tumbled.waived and not scenario.nodes:
         verdicts.append(_tumbled(tumbled, scenario, journal))
@@ -290,7 +292,7 @@ def _deaths(check: Standing, scenario: Scenario, journal: Journal) -> Verdict:
     return _counted("deaths", died, check.at_most, "times", asked, found)
 
 
-OF_THE_TOOL = frozenset({"deaths", "ledger", "middleware_loss"})  # no network is meant to break these
+OF_THE_TOOL = frozenset({"deaths", "ledger", "middleware_loss"})  # `expect: fail` judges the protocol, not this program
 
 
 def judge_expected(scenario: Scenario, verdicts: list[Verdict]) -> Verdict | None:

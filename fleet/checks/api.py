@@ -49,7 +49,7 @@ class Fault(NamedTuple):
 class Facts(NamedTuple):
     """The facts about the scenario that a check gets."""
 
-    scenario: str  # its name
+    scenario: str  # name of the scenario
     seed: int
     vehicles: int  # how many; their numbers are 1 to this one
     duration: float  # s
@@ -82,7 +82,10 @@ class Vehicle(Protocol):
         """Whether it has an agent that no fault has ended, and has not diverged."""
 
     def __getitem__(self, signal: str) -> Any:
-        """The value of a signal such as `state.z` or `control.e`, in its unit of the log.
+        """The value of a signal, in its unit of the log.
+
+        Args:
+            signal: its name, such as `state.z` or `control.e`.
 
         Returns:
             A number, of a vector a tuple of them; None if the vehicle did not report it at this tick.
@@ -98,15 +101,15 @@ class Tick(NamedTuple):
     tick: int
     t: float  # s
     vehicles: tuple[Vehicle, ...]  # all, by number
-    faults: tuple[Fault, ...]  # that are active
-    packets: tuple[Packet, ...]  # whose fates have become final since the step before
+    faults: tuple[Fault, ...]  # the active ones
+    packets: tuple[Packet, ...]  # packets whose fate has become final since the step before
 
 
 class Failure(NamedTuple):
     """The property is broken."""
 
     message: str  # what is wrong, in one line
-    vehicles: tuple[int, ...] = ()  # whose fault it is
+    vehicles: tuple[int, ...] = ()  # the vehicles at fault
     values: Mapping[str, float] = {}  # what shows it, by name
 
 
@@ -119,9 +122,27 @@ class NotJudged(NamedTuple):
 class Check(Protocol):
     """A check; `verdict` and `margin` may be left out."""
 
-    def step(self, tick: Tick) -> Failure | None: ...
+    def step(self, tick: Tick) -> Failure | None:
+        """Look at a tick with samples in the log; the ticks come in their order.
+
+        Args:
+            tick: all that is known at this tick.
+
+        Returns:
+            How the property is broken; None: it holds so far. After the first failure there is no further call.
+        """
 
 
 def seconds(time: Any) -> float:
-    """A time such as "2 s" or "50 ms" in s, for parameters. Raises fleet.quantities.QuantityError."""
+    """A time that is a parameter of a check.
+
+    Args:
+        time: a text such as "2 s" or "50 ms".
+
+    Returns:
+        The time in s.
+
+    Raises:
+        fleet.quantities.QuantityError: it is no time.
+    """
     return time_ns(time) / 1e9

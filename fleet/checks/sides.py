@@ -25,7 +25,7 @@ def _parts(fault: Fault, around: Surroundings) -> list[Part]:
     return kind.parts(section.values, TimedFault(fault.id, 0, None), around)
 
 
-class Sides:
+class ReachableGroups:
     """The sides of a fleet, tick by tick: `groups`, each with its vehicles by number, in the order of their first
     vehicles, `since` when [s], and the vehicles that are paused.
 
@@ -69,3 +69,6 @@ class Sides:
         hearers = {i: reached([i], heard_by) for i in there}
         groups = {tuple(j for j in there if j in hearers[i] and i in hearers[j]) for i in there}
         return tuple(sorted(groups))
+
+
+Sides = ReachableGroups  # its name until version 1.0, which checks of users import

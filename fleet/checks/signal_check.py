@@ -1,4 +1,25 @@
-"""A check on a signal while it is judged: sample by sample, in memory that does not grow with the run."""
+"""A check on a signal while it is judged: sample by sample, in memory that does not grow with the run.
+
+Its margin says by how much the check holds. This is the robustness of signal temporal logic:
+
+| symbol | meaning | unit |
+|---|---|---|
+| rho(x) | how far a value is inside the condition: min(x - low, high - x); below 0 outside | of the signal |
+| w | how long a stretch has to be, `for_at_least` | s |
+| d | how soon something has to begin, `eventually_within` | s |
+
+| asked | formula | margin, the least over vehicles and waits |
+|---|---|---|
+| always | G phi | min_t rho(t) |
+| never | G not phi | min_t -rho(t) |
+| never for w | G not G[0,w] phi | min_t max_[t,t+w] -rho |
+| eventually within d for w | F[0,d] G[0,w] phi | max_{t <= d} min_[t,t+w] rho |
+
+Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
+2009. A condition that no value fulfils by more than 0 (equal, agreed, true) has no such distance. Where it is about
+a time, its margin is one in time (A. Donze, O. Maler, "Robust satisfaction of temporal logic over real-valued
+signals", 2010): how much longer it could have taken.
+"""
 
 from __future__ import annotations
 
@@ -15,151 +36,7 @@ from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCondition
 from fleet.scenario.sections.signals import SignalPlace
 from fleet.scenario.sections.timeline import Event
 
-# --- robustness
-# By how much a check on a signal holds: the quantitative semantics of signal temporal logic, sample by sample.
-#
-# | symbol | meaning | unit |
-# |---|---|---|
-# | rho(x) | how far a value is inside the condition: min(x - low, high - x); below 0 outside | of the signal |
-# | w | how long a stretch has to be, `for_at_least` | s |
-# | d | how soon something has to begin, `eventually_within` | s |
-#
-# | asked | formula | margin, the least over vehicles and waits |
-# |---|---|---|
-# | always | G phi | min_t rho(t) |
-# | never | G not phi | min_t -rho(t) |
-# | never for w | G not G[0,w] phi | min_t max_[t,t+w] -rho |
-# | eventually within d for w | F[0,d] G[0,w] phi | max_{t <= d} min_[t,t+w] rho |
-#
-# Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
-# 2009. A condition that no value fulfils by more than 0 (equal, agreed, true) has no such distance. Where it is about
-# a time, its margin is one in time (A. Donze, O. Maler, "Robust satisfaction of temporal logic over real-valued
-# signals", 2010): how much longer it could have taken.
-
-
-Unit = tuple[int, ...]  # the vehicle that a number belongs to, or those that make a spread or are true
-
-
-def inside(condition: SignalCondition, value: float) -> float:
-    """rho: how far a value is inside a condition, in the unit of the value."""
-    return min(value - condition.low, condition.high - value)
-
-
-def in_time(asked: AskedOfSignal) -> bool:
-    condition = asked.condition
-    timed = asked.within_ns is not None or asked.least_ns > 0
-    return timed and (condition.over == "true" or condition.low == condition.high)
-
-
-class AlwaysMargin:
-    """The margin of a safety property."""
-
-    def __init__(self, asked: AskedOfSignal, tick_ns: int, every: int) -> None:
-        """Begin; `every`: ticks between two samples."""
-        self._asked, self._tick_s, self._every = asked, tick_ns / 1e9, every
-        self._width = -(-asked.least_ns // tick_ns)  # ticks of a stretch that breaks it
-        self._since: dict[Unit, int] = {}  # where the samples begin that have no gap
-        self._best: dict[Unit, deque[tuple[int, float]]] = {}  # samples that may be the best of a stretch, falling
-        self._least: tuple[float, int] | None = None  # margin, tick
-
-    def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> None:
-        """Take the samples of a tick, by their vehicle or link; None: it has no sample."""
-        asked = self._asked
-        for key, value in numbers:
-            if value is None:
-                self._since.pop(key, None)
-                self._best.pop(key, None)
-                continue
-            good = inside(asked.condition, value)
-            good = -good if asked.negated else good
-            if self._width:
-                best = self._stretch(tick, key, good)
-                if best is None:
-                    continue
-                good = best
-            if self._least is None or good < self._least[0]:
-                self._least = good, tick
-
-    def _stretch(self, tick: int, key: Unit, good: float) -> float | None:
-        """The best sample of the shortest stretch up to now that would break it; None: no stretch is long enough."""
-        first = (tick - self._width) // self._every * self._every
-        best = self._best.setdefault(key, deque())
-        while best and best[-1][1] <= good:
-            best.pop()
-        best.append((tick, good))
-        while best[0][0] < first:
-            best.popleft()
-        return best[0][1] if self._since.setdefault(key, tick) <= first else None
-
-    def found(self, longest: float | None, at: int | None) -> Margin | None:
-        """The margin so far, of the longest stretch of bad samples [ticks], which began at tick `at`."""
-        asked = self._asked
-        if in_time(asked):
-            took = (longest or 0) * self._tick_s
-            return Margin(asked.least_ns / 1e9 - took, "s", None if at is None else at * self._tick_s)
-        if self._least is None or abs(self._least[0]) == inf:
-            return None
-        return Margin(self._least[0], _unit(asked), self._least[1] * self._tick_s)
-
-
-class EventuallyMargin:
-    """The margin of a liveness property, as a distance."""
-
-    def __init__(self, asked: AskedOfSignal, tick_ns: int) -> None:
-        self._asked, self._tick_s = asked, tick_ns / 1e9
-        assert asked.within_ns is not None
-        self._within, self._width = asked.within_ns // tick_ns, -(-asked.least_ns // tick_ns)  # ticks
-        self._begin: int | None = None
-        self._worst: dict[Unit, deque[tuple[int, float]]] = {}  # samples that may be the worst of a stretch, rising
-        self._since: dict[Unit, int] = {}
-        self._best: dict[Unit, tuple[float, int]] = {}  # of each, in the wait that goes on
-        self._least: tuple[float, int] | None = None
-
-    def begin(self, tick: int) -> None:
-        self._begin = tick
-        self._worst, self._since, self._best = {}, {}, {}
-
-    def end(self, *, counts: bool) -> None:
-        """The wait ends; `counts`: it was judged."""
-        self._least, self._begin = self._so_far(counts), None
-
-    def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> None:
-        """Take the samples of a tick, by their vehicle or link; None: it has no sample."""
-        if self._begin is None:
-            return
-        for key, value in numbers:
-            if value is None:
-                self._worst.pop(key, None)
-                self._since.pop(key, None)
-                continue
-            good = inside(self._asked.condition, value)
-            worst = self._worst.setdefault(key, deque())
-            while worst and worst[-1][1] >= good:
-                worst.pop()
-            worst.append((tick, good))
-            while worst[0][0] < tick - self._width:
-                worst.popleft()
-            since = self._since.setdefault(key, tick)
-            start = tick - self._width  # of the stretch that ends now
-            if since <= start <= self._begin + self._within and abs(worst[0][1]) < inf:
-                self._best[key] = max(self._best.get(key, (-inf, 0)), (worst[0][1], tick))
-
-    def _so_far(self, counts: bool) -> tuple[float, int] | None:
-        waits = [self._least] if self._least is not None else []
-        if counts and self._begin is not None and self._best:
-            waits.append(min(self._best.values()))
-        return min(waits, default=None)
-
-    def found(self, *, counts: bool) -> Margin | None:
-        """The least margin of all waits with a verdict; `counts`: the wait that goes on has one, too."""
-        least = self._so_far(counts)
-        return None if least is None else Margin(least[0], _unit(self._asked), least[1] * self._tick_s)
-
-
-def _unit(asked: AskedOfSignal) -> str:
-    return "vehicles" if asked.condition.over == "true" else asked.unit
-
-
+Unit = tuple[int, ...]  # the vehicle that a number belongs to, or the vehicles that make a spread
 _FLEET: Unit = ()  # one number of all vehicles
 
 
@@ -248,7 +125,7 @@ def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[U
     if len(there) < 2:
         return _FLEET, None
     low, high = min(there, key=lambda one: one[1]), max(there, key=lambda one: one[1])
-    if low[1] == high[1]:  # of equal infinities the difference is no number
+    if low[1] == high[1]:  # the difference of equal infinities is no number
         return _FLEET, 0.0
     return tuple(sorted((low[0], high[0]))), high[1] - low[1]
 
@@ -315,7 +192,7 @@ class _Safety:
                 value = length * self._tick_ns / 1e9
                 words = f"for at most {value:g} s{who(list(whose))}, from {self._s(since)} s"
             if self.failure and self._longest == self._by_then:
-                words = ""  # that is said
+                words = ""  # the failure says it already
         else:
             _, value, whose, tick = worst
             words = "" if tick == self._first else f"{self._side()} {self._show(value)}{who(list(whose))}"
@@ -358,12 +235,12 @@ class _Liveness:
 
     def __init__(self, asked: AskedOfSignal, scenario: Scenario, after: int) -> None:
         self._asked, self._tick_ns, self._last, self._after = asked, scenario.tick_ns, scenario.ticks, after
-        self._begin: int | None = after if asked.fault is None else None  # of the wait that goes on
+        self._begin: int | None = after if asked.fault is None else None  # begin of the wait that goes on
         self._whose = ""  # fault
         self._since: dict[Unit, int] = {}  # where it began to hold
         self._done: set[Unit] = set()
         self._took: tuple[int, Unit, str] | None = None  # ticks, whose, after which fault: the slowest of this wait
-        self._slowest: tuple[int, Unit, str] | None = None  # of all waits that were judged
+        self._slowest: tuple[int, Unit, str] | None = None  # the slowest of all waits that were judged
         self._judged = self._dropped = 0  # waits
         self._late_ns = 0  # how much later than asked it was when a wait failed
         self._distance = EventuallyMargin(asked, scenario.tick_ns)
@@ -461,3 +338,123 @@ class _Liveness:
         took = ticks * self._tick_ns / 1e9
         each = f", the slowest of {self._judged}, after fault {fault}" if fault and self._judged > 1 else ""
         return True, f"after {took:g} s{who(list(unit))}{each}{dropped}", took, limit, "s"
+
+
+def inside(condition: SignalCondition, value: float) -> float:
+    """rho: how far a value is inside a condition, in the unit of the value."""
+    return min(value - condition.low, condition.high - value)
+
+
+def in_time(asked: AskedOfSignal) -> bool:
+    condition = asked.condition
+    timed = asked.within_ns is not None or asked.least_ns > 0
+    return timed and (condition.over == "true" or condition.low == condition.high)
+
+
+class AlwaysMargin:
+    """The margin of a safety property."""
+
+    def __init__(self, asked: AskedOfSignal, tick_ns: int, every: int) -> None:
+        """Begin; `every`: ticks between two samples."""
+        self._asked, self._tick_s, self._every = asked, tick_ns / 1e9, every
+        self._width = -(-asked.least_ns // tick_ns)  # ticks of a stretch that breaks it
+        self._since: dict[Unit, int] = {}  # where the samples begin that have no gap
+        self._best: dict[Unit, deque[tuple[int, float]]] = {}  # samples that may be the best of a stretch, falling
+        self._least: tuple[float, int] | None = None  # margin, tick
+
+    def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> None:
+        """Take the samples of a tick, by their vehicle or link; None: it has no sample."""
+        asked = self._asked
+        for key, value in numbers:
+            if value is None:
+                self._since.pop(key, None)
+                self._best.pop(key, None)
+                continue
+            good = inside(asked.condition, value)
+            good = -good if asked.negated else good
+            if self._width:
+                best = self._stretch(tick, key, good)
+                if best is None:
+                    continue
+                good = best
+            if self._least is None or good < self._least[0]:
+                self._least = good, tick
+
+    def _stretch(self, tick: int, key: Unit, good: float) -> float | None:
+        """The best sample of the shortest stretch up to now that would break it; None: no stretch is long enough."""
+        first = (tick - self._width) // self._every * self._every
+        best = self._best.setdefault(key, deque())
+        while best and best[-1][1] <= good:
+            best.pop()
+        best.append((tick, good))
+        while best[0][0] < first:
+            best.popleft()
+        return best[0][1] if self._since.setdefault(key, tick) <= first else None
+
+    def found(self, longest: float | None, at: int | None) -> Margin | None:
+        """The margin so far, of the longest stretch of bad samples [ticks], which began at tick `at`."""
+        asked = self._asked
+        if in_time(asked):
+            took = (longest or 0) * self._tick_s
+            return Margin(asked.least_ns / 1e9 - took, "s", None if at is None else at * self._tick_s)
+        if self._least is None or abs(self._least[0]) == inf:
+            return None
+        return Margin(self._least[0], _unit(asked), self._least[1] * self._tick_s)
+
+
+class EventuallyMargin:
+    """The margin of a liveness property, as a distance."""
+
+    def __init__(self, asked: AskedOfSignal, tick_ns: int) -> None:
+        self._asked, self._tick_s = asked, tick_ns / 1e9
+        assert asked.within_ns is not None
+        self._within, self._width = asked.within_ns // tick_ns, -(-asked.least_ns // tick_ns)  # ticks
+        self._begin: int | None = None
+        self._worst: dict[Unit, deque[tuple[int, float]]] = {}  # samples that may be the worst of a stretch, rising
+        self._since: dict[Unit, int] = {}
+        self._best: dict[Unit, tuple[float, int]] = {}  # the best margin of each, in the wait that goes on
+        self._least: tuple[float, int] | None = None
+
+    def begin(self, tick: int) -> None:
+        self._begin = tick
+        self._worst, self._since, self._best = {}, {}, {}
+
+    def end(self, *, counts: bool) -> None:
+        """The wait ends; `counts`: it was judged."""
+        self._least, self._begin = self._so_far(counts), None
+
+    def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> None:
+        """Take the samples of a tick, by their vehicle or link; None: it has no sample."""
+        if self._begin is None:
+            return
+        for key, value in numbers:
+            if value is None:
+                self._worst.pop(key, None)
+                self._since.pop(key, None)
+                continue
+            good = inside(self._asked.condition, value)
+            worst = self._worst.setdefault(key, deque())
+            while worst and worst[-1][1] >= good:
+                worst.pop()
+            worst.append((tick, good))
+            while worst[0][0] < tick - self._width:
+                worst.popleft()
+            since = self._since.setdefault(key, tick)
+            start = tick - self._width  # the stretch that ends now begins there
+            if since <= start <= self._begin + self._within and abs(worst[0][1]) < inf:
+                self._best[key] = max(self._best.get(key, (-inf, 0)), (worst[0][1], tick))
+
+    def _so_far(self, counts: bool) -> tuple[float, int] | None:
+        waits = [self._least] if self._least is not None else []
+        if counts and self._begin is not None and self._best:
+            waits.append(min(self._best.values()))
+        return min(waits, default=None)
+
+    def found(self, *, counts: bool) -> Margin | None:
+        """The least margin of all waits with a verdict; `counts`: the wait that goes on has one, too."""
+        least = self._so_far(counts)
+        return None if least is None else Margin(least[0], _unit(self._asked), least[1] * self._tick_s)
+
+
+def _unit(asked: AskedOfSignal) -> str:
+    return "vehicles" if asked.condition.over == "true" else asked.unit

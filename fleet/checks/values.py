@@ -11,14 +11,6 @@ from netem.wire.messages import Command, Frame, VehicleFrame
 from world.signal import width_of
 from world.vectors import Vec3
 
-# --- belief: a vehicle's belief about its position against the truth: the values of its topic `belief` at a tick
-# | symbol | meaning | unit |
-# |---|---|---|
-# | P | covariance of the estimate of x, y, z (NED) and psi | m^2, m rad, rad^2 |
-# | d | the estimate minus the truth, NED | m |
-# | NEES = d^T P^-1 d | of x, y, z: of a consistent filter it is chi-square with 3 degrees of freedom | 1 |
-
-
 BELIEF_SIZE = sum(signal.width for signal in BELIEF)
 _UNKNOWN: tuple[float, ...] = (nan,) * 10  # a replayed error has no covariance
 
@@ -33,6 +25,12 @@ class OffPlace(Protocol):
 def belief_values(row: VehicleFrame, error: OffPlace) -> tuple[float, ...]:
     """The values of the topic `belief` in the order of `BELIEF`; `error` is the true formation error. Empty if no agent
     got a measurement of this vehicle at this tick.
+
+    | symbol | meaning | unit |
+    |---|---|---|
+    | P | covariance of the estimate of x, y, z (NED) and psi | m^2, m rad, rad^2 |
+    | d | the estimate minus the truth, NED | m |
+    | NEES = d^T P^-1 d | of x, y, z: of a consistent filter it is chi-square with 3 degrees of freedom | 1 |
     """
     if not row.nav:
         return ()
@@ -58,21 +56,20 @@ def _nees(p: Sequence[float], d: Vec3) -> float:
     return (a * x * x + e * y * y + g * z * z + 2.0 * (b * x * y + c * x * z + f * y * z)) / determinant
 
 
-# --- located
-# Where a vehicle believes it is by its navigator and by ranges, against the truth: the values of its topic `located`.
-#
-# | symbol | meaning | unit |
-# |---|---|---|
-# | P | covariance of north and east | m^2 |
-# | d | the estimate minus the truth, north and east | m |
-# | NEES = d^T P^-1 d | of a consistent estimate it is chi-square with 2 degrees of freedom | 1 |
-
-
 LOCATED_SIZE = width_of(LOCATED)
 
 
 def located_values(row: VehicleFrame, telemetry: Sequence[float]) -> tuple[float, ...]:
-    """The values of `LOCATED`, flat; empty: the agent has reported nothing."""
+    """The values of the topic `located`, flat; empty: the agent has reported nothing.
+
+    It is where a vehicle believes to be by its navigator and by ranges, against the truth.
+
+    | symbol | meaning | unit |
+    |---|---|---|
+    | P | covariance of north and east | m^2 |
+    | d | the estimate minus the truth, north and east | m |
+    | NEES = d^T P^-1 d | of a consistent estimate it is chi-square with 2 degrees of freedom | 1 |
+    """
     if not telemetry:
         return ()
     x, y, z, nn, ne, ee = telemetry[WHERE_LOCATED]

@@ -55,7 +55,7 @@ def about(
     if schemas:
         _schemas(" ".join(words))  # "check LOG" is one of two words
         return
-    from fleet.execution.directory import newest_run
+    from fleet.execution.past_runs import newest_run
 
     if len(words) > 1 or not all(Path(word).is_dir() for word in words):
         raise click.BadParameter(f"{' '.join(words)!r} is no run directory", param_hint="RUN")

@@ -14,8 +14,8 @@ from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document, print_result
 from fleet.cli.types import NoProgress, Trust
 from fleet.option import Option
-from fleet.terminal.status_line import showing, showing_steps
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing, showing_steps
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.errors import Problem
@@ -110,7 +110,7 @@ def _check_log(log: Path, overrides: tuple[str, ...]) -> NoReturn:
 
 def _say_what_is_expected(loaded: Scenario, lines: list[str], refused: list[Problem]) -> None:
     from fleet.analysis.link_shares import link_lines
-    from fleet.analysis.preflight import may_draw
+    from fleet.analysis.randomness import may_draw
     from fleet.scenario.scenario import timeline_lines
 
     links = loaded.graph.links

@@ -18,10 +18,18 @@ class Beside:
     """What goes on beside one run. A companion that has nothing to do at a moment inherits it from here."""
 
     def published(self, directory: Path) -> None:
-        """The journal of the run can be read; `directory` is the run's."""
+        """The journal of the run can be read.
+
+        Args:
+            directory: the directory of the run.
+        """
 
     def over(self, directory: Path) -> None:
-        """The run is over, and its directory is whole."""
+        """The run is over, and its directory is whole.
+
+        Args:
+            directory: the directory of the run.
+        """
 
 
 class Companion(Extension):
@@ -37,8 +45,12 @@ class Companion(Extension):
             how: what the user and the companions before asked for.
             one_process: which option or key asks for a run in one process; empty: it has several.
 
+        Returns:
+            The options with what this companion needs.
+
         Raises:
-            click.UsageError, FleetError: the options do not go with the run.
+            click.UsageError: the options do not go with the run.
+            FleetError: something that the options need is missing here.
         """
         return how
 
@@ -48,6 +60,9 @@ class Companion(Extension):
 
         Args:
             how: the options of the run.
+
+        Yields:
+            What is told when the journal can be read, and when the run is over.
         """
         yield Beside()
 

@@ -14,8 +14,8 @@ from fleet.cli.log_argument import Log, check_options
 from fleet.cli.types import FOLDER, Force, NoProgress
 from fleet.logs.other import other_data
 from fleet.option import Option, fields
-from fleet.terminal.status_line import showing
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing
+from fleet.terminal.width import say
 
 
 @command()
@@ -86,9 +86,9 @@ def export(
 def _export_tables(
     log: Path, tables: Sequence[tuple[str, Path]], topics: tuple[str, ...], exclude: tuple[str, ...], *, force: bool
 ) -> None:
-    from fleet.logs.dataset import fits
     from fleet.logs.export import export as write
     from fleet.logs.open_log import Opening
+    from fleet.logs.table import fits
 
     with showing(f"reading {log}") as on_progress:
         found = Opening(log, topics or None, on_progress, exclude, hold_all=False).read()

@@ -19,7 +19,7 @@ from fleet.addon import installed, load
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.verbs import every_verb, headings, hint_for, other_option, verb_of
 from fleet.errors import FleetError, harmless
-from fleet.terminal.table import say
+from fleet.terminal.width import say
 from netem.errors import NetemError
 
 EPILOG = (
@@ -144,7 +144,7 @@ def _left_out() -> str:
 
 _CHANGE = re.compile(r"unexpected extra arguments? \(([\w.*>-]+=[^)]*)\)")
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
-_SQLITE_FULL, _SQLITE_IOERR = 13, 10  # of SQLite; sqlite3 is not imported for their sake
+_SQLITE_FULL, _SQLITE_IOERR = 13, 10  # codes of SQLite: importing sqlite3 for them would take longer
 
 
 def report(error: Exception) -> int:
@@ -182,9 +182,9 @@ def _no_room(error: BaseException | None) -> bool:
 
 def _words(error: Exception) -> str:
     match error:
-        case OSError():  # of a place that no command words by itself, as with a name that is too long
+        case OSError():  # a place that no command words by itself, as with a name that is too long
             return f"{'' if error.filename is None else f'{error.filename}: '}{error.strerror or error}"
-        case UnicodeEncodeError():  # of an argument with bytes that are no text
+        case UnicodeEncodeError():  # an argument has bytes that are no text
             return f"{error.object[:80]!r} is not UTF-8 text"
         case _:
             return str(error)

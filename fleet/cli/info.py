@@ -6,7 +6,7 @@ from fleet.cli.declare import command
 from fleet.cli.documents.output import print_result
 from fleet.cli.log_argument import Log
 from fleet.cli.types import NoProgress
-from fleet.terminal.status_line import showing
+from fleet.terminal.progress import showing
 
 
 @command(document="fleet.logs.info.Info")

@@ -77,7 +77,7 @@ def write(path: Path | None, suite: str, cases: Sequence[JUnitCase]) -> None:
     """Write the file, as a whole or not at all, if one was asked for. Raises FleetError: it cannot be written."""
     if path is None:
         return
-    from netem.files import write_whole
+    from netem.whole_file import write_whole
 
     try:
         write_whole(path, junit_text(suite, cases), 0o666)

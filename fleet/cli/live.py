@@ -17,7 +17,7 @@ from fleet.cli.documents.output import json_is_asked, print_document, print_resu
 from fleet.cli.group import USAGE
 from fleet.option import Option
 from fleet.terminal.status_line import rewritable
-from fleet.terminal.table import stdout
+from fleet.terminal.width import stdout
 
 if TYPE_CHECKING:
     from rich.console import Console, Group
@@ -32,7 +32,7 @@ _HELP = (
     "The run: its name or the beginning of it, its scenario, or its directory. Needed if several live here, "
     "or if it lives below another folder."
 )
-_TIMES = ("at", "for", "id")  # which may stand before the kind of a fault
+_TIMES = ("at", "for", "id")  # words that may stand before the kind of a fault
 _PACE = re.compile(r"max|[\d.]+x", re.ASCII)
 
 
@@ -79,7 +79,7 @@ def fault_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, st
         return _one(first, run), text.split(None, 1)[1]
     if run is None:
         _refuse(first, ACTIONS, "no fault", f"name the fault, too: fleet inject {first} kill 3")
-    return run, text  # whose mistake is told when it is read
+    return run, text  # a mistake in the text is told when it is read
 
 
 def clock_words(words: tuple[str, ...], run: str | None) -> tuple[str | None, str, str | None]:
@@ -389,7 +389,7 @@ def _more(count: int, what: str) -> str:
 
 
 def _worst(vehicles: list[VehicleRow], most: int) -> list[VehicleRow]:
-    from fleet.execution.operator import badness
+    from fleet.execution.live_status import badness
 
     worst = sorted(vehicles, key=lambda row: -badness(row.formation_m))[:most]
     return sorted(worst, key=lambda row: row.vehicle)

@@ -15,7 +15,7 @@ from fleet.option import Option
 
 def newest_log() -> Path:
     """The directory of the newest run below `runs`, named on stderr. Raises click.UsageError: there is none."""
-    from fleet.execution.directory import newest_run
+    from fleet.execution.past_runs import newest_run
 
     found = newest_run(RUNS)
     if found is None:

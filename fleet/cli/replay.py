@@ -14,7 +14,8 @@ from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT
 from fleet.option import Option
 from fleet.replay.player import PlaybackOptions
-from fleet.terminal.status_line import StatusLine, showing
+from fleet.terminal.progress import showing
+from fleet.terminal.status_line import StatusLine
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 
@@ -72,7 +73,7 @@ def replay(
 
 
 def open_session(connect: str | None, listen: str | None, credentials: Any) -> Any:
-    from fleet.processes.limits import free_port
+    from fleet.processes.ports import free_port
     from netem.wire.open_bus import OpenBus
     from netem.wire.session import quiet_zenoh
 

@@ -16,8 +16,9 @@ from fleet.result.result import FaultEvent, LinkAge, Result, Status, VehicleResu
 from fleet.result.verdict import failed_first
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
-from fleet.terminal.table import INDENT, TerminalColumn, fold, width
-from netem.fault_kinds import Cause
+from fleet.terminal.table import TerminalColumn, width
+from fleet.terminal.width import INDENT, fold
+from netem.cause import Cause
 from netem.ledger import Account
 
 Say = Callable[..., None]
@@ -136,7 +137,7 @@ def _show_protocols(rows: dict[str, VehicleResult], from_s: float, terminal: Ter
 
 
 def _show_links(result: Result, terminal: Terminal, say: Say) -> None:
-    """Packets and ages of the links: of all together, and of those with the oldest information.
+    """Packets and ages of the links: of all together, and of the links with the oldest information.
 
     Links with the same numbers are one row. Columns of zeros are left out. Where there is no room for every cause of a
     loss, one column has their sum.

@@ -23,9 +23,10 @@ from fleet.cli.types import Trust, Whole, is_given
 from fleet.execution.options import Options
 from fleet.option import Option
 from fleet.terminal.output import OutputError, give_up_output
-from fleet.terminal.status_line import showing, stderr
-from fleet.terminal.table import say, stdout
-from netem.vehicle_clock import Clock
+from fleet.terminal.progress import showing
+from fleet.terminal.status_line import stderr
+from fleet.terminal.width import say, stdout
+from netem.clock import Clock
 
 if TYPE_CHECKING:
     from rich.console import Console as Terminal
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override
 
 SEED = Whole(0, 2**63 - 1)
-MOST_FAULTS = 20  # of the scenario, said before it runs
+MOST_FAULTS = 20  # faults of the scenario that are said before it runs
 
 
 @command(epilog=EPILOG, document="fleet.result.result.Result")

@@ -12,13 +12,13 @@ from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.types import AGE, Whole, Words
 from fleet.option import Option
-from fleet.terminal.table import stdout
+from fleet.terminal.width import stdout
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from fleet.execution.answers import LiveRunRow
-    from fleet.execution.directory import PastRun
+    from fleet.execution.past_runs import PastRun
 
 
 WIDE = 100  # columns from which on there is room for what the name says already
@@ -62,7 +62,7 @@ def ls(
     if chosen or yes:
         raise click.UsageError("--keep, --older-than, --verdict and --yes say what --prune removes: give it, too")
     from fleet.cli.documents.logs import Runs
-    from fleet.execution.directory import LIVE, past_runs
+    from fleet.execution.past_runs import LIVE, past_runs
 
     live, found = _live(), past_runs(out)
     size = sum(run.size for run in found)
@@ -98,7 +98,7 @@ def _live() -> list[LiveRunRow]:
 
 def _prune(out: Path, keep: int, older_than_s: float, verdicts: tuple[str, ...] | None, *, yes: bool) -> None:
     """Remove the runs that fit every given option. Without --yes they are only listed."""
-    from fleet.execution.directory import FINISHED, past_runs, remove, to_prune
+    from fleet.execution.past_runs import FINISHED, past_runs, remove, to_prune
 
     chosen = [verdict for verdict in FINISHED if verdicts is None or verdict.lower() in verdicts]
     going = to_prune(past_runs(out), keep=keep, older_than_s=older_than_s, verdicts=chosen)

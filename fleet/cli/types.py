@@ -55,7 +55,7 @@ Trust = Annotated[
     bool, Option("Also run laws, plants and checks that are neither installed nor your own."), Effect(_trust)
 ]
 NoProgress = Annotated[bool, Option("No progress.", flag="-q --quiet"), Effect(_hush)]
-Distribution = Literal["humble", "jazzy", "kilted"]  # of ROS 2
+Distribution = Literal["humble", "jazzy", "kilted"]  # releases of ROS 2
 Force = Annotated[bool, Option("Replace what is there.")]
 
 
@@ -170,7 +170,7 @@ class _Pace(click.types.FloatParamType):
         return pace
 
 
-PACE = _Pace()  # times that of a log; 0: as fast as possible
+PACE = _Pace()  # times the pace of a log; 0: as fast as possible
 
 
 def _share(text: str) -> float:
@@ -265,7 +265,7 @@ def _endpoint(text: str) -> str:
     return text
 
 
-ENDPOINT = Parsed("endpoint", _endpoint)  # of zenoh
+ENDPOINT = Parsed("endpoint", _endpoint)  # an endpoint of zenoh
 
 
 def numbers(least: float, most: float, example: str, *, whole: bool = False) -> Parsed[list[float]]:

@@ -96,12 +96,12 @@ def verb_of(name: str) -> Verb | None:
 
 
 def hint_for(typed: str) -> str:
-    """What a word is called here that is none of our commands; empty: nobody knows."""
+    """What a word is called here that is none of our commands; empty: it is not known."""
     said = [addon.hints.get(typed) for addon in installed().addons.values()]
     return "; or ".join(dict.fromkeys(filter(None, [HINTS.get(typed), *said])))
 
 
 def other_option(command: str, option: str) -> str:
-    """What does what an option that there is not would do; empty: nobody knows."""
+    """What does what an option that there is not would do; empty: it is not known."""
     theirs = (addon.other_options.get((command, option)) for addon in installed().addons.values())
     return OTHER_OPTIONS.get((command, option)) or next(filter(None, theirs), "")

@@ -13,8 +13,8 @@ from fleet.cli.documents.output import json_is_asked, print_document, print_resu
 from fleet.cli.log_argument import Log, newest_log
 from fleet.cli.types import NoProgress, Trust
 from fleet.option import Option
-from fleet.terminal.status_line import showing, showing_time
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing, showing_time
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     pass
@@ -64,7 +64,8 @@ def diff(
       fleet diff runs/paper-1-20261121-120000
       fleet diff a.mcap b.mcap --tolerance 1e-9
     """
-    from fleet.logs.deviation import begin_ns, besides_messages, compare, deviation_lines
+    from fleet.logs.deviation import compare, deviation_lines
+    from fleet.logs.difference import begin_ns, besides_messages
     from fleet.logs.reader import LogReader, log_path
     from fleet.logs.schemas import FROM
 

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from fleet.scenario.scenario import Scenario, frame_every
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
-WINDOW_NS = 500_000_000  # sim time; also the latency of a live action
+# Simulated time that grants go beyond the log. It keeps a run near its log, and it is the latency of a live action.
+WINDOW_NS = 500_000_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,14 +13,14 @@ import msgspec
 from fleet.errors import FleetError
 from fleet.execution.directory import CONNECTION, OBSERVE, in_use
 from fleet.execution.registry import registered
-from fleet.logs.topic_names import RUN_NAME
+from fleet.logs.run_name import RUN_NAME
 from netem.errors import BusError
 from netem.files import DamagedFile, parse_json, read_file
 from netem.limits import CONNECTION_FILE
 from netem.wire.bus import Bus
+from netem.wire.control import read_map, request
 from netem.wire.credentials import LEASE_MS, Credentials
 from netem.wire.keys import Keys
-from netem.wire.mailbox import read_map, request
 
 ASK_S = 5.0
 
@@ -37,8 +37,8 @@ class ConnectionFile(msgspec.Struct):
     """The content of a connection file; one with any other content is not ours."""
 
     scenario: str
-    pid: Annotated[int, msgspec.Meta(gt=0, lt=2**31)]  # of the console
-    endpoint: str  # of the run's router, as zenoh writes it
+    pid: Annotated[int, msgspec.Meta(gt=0, lt=2**31)]  # process of the console
+    endpoint: str  # the run's router, as zenoh writes it
     run: Annotated[str, msgspec.Meta(pattern=r"^[\w-]+$")]  # the run's id
     user: str
     password: str
@@ -69,7 +69,7 @@ class LiveRun:
 
 
 def live_runs() -> list[LiveRun]:
-    """The runs of this user that can be asked, wherever they are, by name. A run in one process answers nobody. Raises
+    """The runs of this user that can be asked, wherever they are, by name. A run in one process answers none. Raises
     RegistryError if it is not known which runs there are.
     """
     found = [_read(directory) for directory in published(CONNECTION)]
@@ -129,7 +129,7 @@ def choose(run: str | None, file: str, *, to_act: bool = False) -> Path:
 def _working_directory() -> Path:
     try:
         return Path.cwd()
-    except FileNotFoundError:  # it was removed: then no run is below it
+    except FileNotFoundError:  # the folder was removed, so no run is below it
         return Path("/nowhere")
 
 

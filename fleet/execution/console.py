@@ -26,84 +26,13 @@ from fleet.processes.children import Exit
 from fleet.processes.interrupts import deferring_interrupts
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
+from netem.clock import Clock
 from netem.errors import MalformedMessage, OutOfPlace
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Respond
 from netem.wire.codec import expect
+from netem.wire.control import read_map
 from netem.wire.credentials import CONSOLE, NETEM, WORLD
-from netem.wire.mailbox import read_map
 from netem.wire.messages import PROTOCOL_VERSION, Frames, Grant, Hello, LinkReport
-
-# --- accounts of a completed run: every message that one process sent, another received
-
-
-def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, int]) -> Closing:
-    """The final reports of a run's processes: their answers to `close`, and the notes that were not kept."""
-    return Closing(
-        entered={(src, dst): (sent, copies) for src, dst, sent, copies in network.get("entered", ())},
-        rejected={**world.get("rejected", {}), **network.get("rejected", {}), **rejected},
-        timing={**world.get("timing", {}), "netem": network.get("timing", {})},
-    )
-
-
-def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
-    """How many messages left one process of a completed run and never arrived at the other, from the counts that each
-    process gives by kind of message. Every nav is answered by one command; agents' own counts are not needed. On a wall
-    clock an agent may skip navs, and commands are not counted. Raises RunBroken if a process did not report.
-    """
-    try:
-        world_sent, world_received = counts["world"]["sent"], counts["world"]["received"]
-        netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]
-        console = counts["console"]
-        pairs = [
-            *([(world_sent["nav"], world_received["cmd"])] if clock is Clock.LOCKSTEP else []),
-            (world_sent["round"], netem_received["round"]),
-            (world_sent["frame"], console["frame"]),
-            (netem_sent["links"], console["links"]),
-        ]
-    except KeyError as error:
-        raise RunBroken(f"a process closed without its count of {error}") from None
-    return sum(abs(sent - received) for sent, received in pairs)
-
-
-# --- readiness: whether everyone is ready for the first tick
-
-
-@dataclass(frozen=True, slots=True)
-class Readiness:
-    """The processes that are ready, at one moment."""
-
-    missing: str  # who is not, in words; empty: everyone is ready
-    only_external: bool = False  # nobody is missing but agents that somebody else starts
-
-
-def readiness(
-    world: Mapping[str, Any],
-    network: Mapping[str, Any],
-    vehicles: Sequence[int],
-    awaited: Sequence[int],
-    silent: Collection[str],
-) -> Readiness:
-    """Which processes are ready, by the answers of world and netem to `ready`. A liveliness token only shows that a
-    process lives; these answers show that messages arrive.
-
-    Args:
-        world: `ready` has (vehicle, incarnation) of each agent that greeted the world; `grant`: it hears grants.
-        network: `round` says that netem hears the world. As in `world`, empty: no answer.
-        awaited: vehicles with an external agent that has not joined, ascending as `vehicles`.
-        silent: keys on which the console has heard no greeting.
-    """
-    ready = {i for i, _ in world.get("ready", ())}.difference(awaited)
-    absent = [i for i in vehicles if i not in ready]
-    cores = bool(network.get("round") and world.get("grant"))
-    if absent:
-        missing = "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
-    elif not network.get("round"):
-        missing = "netem"
-    else:
-        missing = ", ".join(sorted(silent)) or ("" if cores else "the clock's key")
-    return Readiness(missing, only_external=bool(awaited) and absent == list(awaited) and cores)
-
 
 READY_S = 20.0
 READY_PER_VEHICLE_S = 0.2
@@ -159,7 +88,7 @@ class Console:
                 raise
             self.closing = self._close()
         finally:
-            with deferring_interrupts():  # or processes would stay, and an open session would keep us from ending
+            with deferring_interrupts():  # otherwise processes stay, and an open session keeps us from ending
                 self._fleet.close()
 
     # The stages of a run.
@@ -313,3 +242,69 @@ class Console:
             elif kind is not EventKind.OPERATION:
                 self._handle(kind, data)
         raise self._fleet.explain(exits)
+
+
+@dataclass(frozen=True, slots=True)
+class Readiness:
+    """The processes that are ready, at one moment."""
+
+    missing: str  # who is not, in words; empty: everyone is ready
+    only_external: bool = False  # only agents are missing that somebody else starts
+
+
+def readiness(
+    world: Mapping[str, Any],
+    network: Mapping[str, Any],
+    vehicles: Sequence[int],
+    awaited: Sequence[int],
+    silent: Collection[str],
+) -> Readiness:
+    """Which processes are ready, by the answers of world and netem to `ready`. A liveliness token only shows that a
+    process lives; these answers show that messages arrive.
+
+    Args:
+        world: `ready` has (vehicle, incarnation) of each agent that greeted the world; `grant`: it hears grants.
+        network: `round` says that netem hears the world. As in `world`, empty: no answer.
+        awaited: vehicles with an external agent that has not joined, ascending as `vehicles`.
+        silent: keys on which the console has heard no greeting.
+    """
+    ready = {i for i, _ in world.get("ready", ())}.difference(awaited)
+    absent = [i for i in vehicles if i not in ready]
+    cores = bool(network.get("round") and world.get("grant"))
+    if absent:
+        missing = "agents " + ", ".join(map(str, absent)) if len(absent) < 9 else f"{len(absent)} agents"
+    elif not network.get("round"):
+        missing = "netem"
+    else:
+        missing = ", ".join(sorted(silent)) or ("" if cores else "the clock's key")
+    return Readiness(missing, only_external=bool(awaited) and absent == list(awaited) and cores)
+
+
+def closing(world: dict[str, Any], network: dict[str, Any], rejected: dict[str, int]) -> Closing:
+    """The final reports of a run's processes: their answers to `close`, and the notes that were not kept."""
+    return Closing(
+        entered={(src, dst): (sent, copies) for src, dst, sent, copies in network.get("entered", ())},
+        rejected={**world.get("rejected", {}), **network.get("rejected", {}), **rejected},
+        timing={**world.get("timing", {}), "netem": network.get("timing", {})},
+    )
+
+
+def lost_messages(counts: dict[str, Any], clock: Clock = Clock.LOCKSTEP) -> int:
+    """How many messages left one process of a completed run and never arrived at the other, from the counts that each
+    process gives by kind of message. Every nav is answered by one command; agents' own counts are not needed. On a wall
+    clock an agent may skip navs, and commands are not counted. Raises RunBroken if a process did not report.
+    """
+    # A run that lost a message is invalid, whatever its checks say: what it shows was not computed from all messages.
+    try:
+        world_sent, world_received = counts["world"]["sent"], counts["world"]["received"]
+        netem_sent, netem_received = counts["netem"]["sent"], counts["netem"]["received"]
+        console = counts["console"]
+        pairs = [
+            *([(world_sent["nav"], world_received["cmd"])] if clock is Clock.LOCKSTEP else []),
+            (world_sent["round"], netem_received["round"]),
+            (world_sent["frame"], console["frame"]),
+            (netem_sent["links"], console["links"]),
+        ]
+    except KeyError as error:
+        raise RunBroken(f"a process closed without its count of {error}") from None
+    return sum(abs(sent - received) for sent, received in pairs)

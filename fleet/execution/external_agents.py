@@ -1,7 +1,8 @@
 """External agents, which are started outside of the run: a join file for each, which of them joined, which are awaited.
 
-There is no child process to watch, so an external agent is present as long as its liveliness token is. Its join file,
-and the answer when it asks for a configuration, give the number of its life and the first tick of it.
+There is no child process to watch, so an external agent is present as long as its liveliness token is. It is ready when
+the world has heard its last hello, too. In place of a signal it gets a message behind the last of its navs. Its join
+file, and the answer when it asks for a configuration, give the number of its life and the first tick of it.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class InProcess:
     `end` in place of `serve`.
     """
 
-    waiting = ""  # nobody waits for anybody here
+    waiting = ""  # one loop does everything, so no process waits
     started_s = 0.0
     middleware_lost = 0  # there is no middleware here
 
@@ -97,7 +97,7 @@ class InProcess:
         self._dead: set[tuple[int, int]] = set()  # (vehicle, life) of agents that ended by themselves
         self._failures: dict[tuple[int, int], ControllerError] = {}  # by tick and vehicle: what ends the run
         self.granted = 0  # ticks below it may have begun
-        self._speaker = WORLD  # whose message is being taken
+        self._speaker = WORLD  # the sender of the message that is being taken
         self._post: deque[tuple[int, int, bytes]] = deque()  # (from, to, message) for agents
 
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
@@ -223,7 +223,7 @@ class InProcess:
         self.journal.take_over(tick, before.journal, state.diverged, state.tumbling)
         for i in self.world.ids:
             loop = self._loops[i] = self._born(i, state.lives.incarnation(i, tick), tick)
-            if (known := before.life(i)) is not None:  # else it was gone there, and may be there now
+            if (known := before.life(i)) is not None:  # otherwise the agent was gone there, and may be there now
                 loop.take_over(known, anew=set_up_otherwise(self.scenario, before.scenario, i))
 
     def write_up(self) -> None:

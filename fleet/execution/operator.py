@@ -6,206 +6,30 @@ says which time that is. The fault is logged like a scripted one, so the run can
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from math import inf, isfinite
 from time import monotonic
-from typing import Any, Protocol
+from typing import Any
 
 from msgspec.structs import asdict
-from pydantic import ValidationError
 
 from fleet.analysis.verdicts import standing
-from fleet.errors import FleetError
 from fleet.execution.clock import LiveClock
+from fleet.execution.fault_request import BROKEN, RefusedError, checked_fault
+from fleet.execution.live_status import event_rows, link_rows, vehicle_rows
+from fleet.execution.runner import Fleet
 from fleet.recorder.journal import Journal
-from fleet.recorder.metrics import SETTLE_M, Series
-from fleet.recorder.settling import below_from, least_s, stayed
 from fleet.scenario.faults.kind import Kill, Part
-from fleet.scenario.faults.kinds import OF_ROBOTS
-from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.sections.node_names import numbered_values
 from fleet.scenario.sections.timeline import acts, begin_and_end, parts, with_end, words
-from fleet.scenario.sections.triggers import read_entry
-from fleet.scenario.sections.vehicle_events import vehicle_events
+from netem.clock import Clock
 from netem.faults import NetFault
-from netem.vehicle_clock import Clock
 from netem.wire.messages import WorldFault
 
-# --- fault request: one that is to begin in a run that goes on: checked by the rules of scenarios
-
-
-BROKEN = 3  # the status of a refusal for which the asker can do nothing
-
-
-class RefusedError(FleetError):
-    """A request that cannot be carried out. `status` is 2 when something else should have been asked for, 3 when the
-    run cannot do it now.
-    """
-
-    def __init__(self, text: str, status: int = 2) -> None:
-        super().__init__(text)
-        self.status = status
-
-
-def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
-    """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick. Raises RefusedError
-    if it is none, or none for this scenario; the text says what is wrong.
-    """
-    if not isinstance(entry, dict) or "at" in entry:
-        raise RefusedError("expected a fault without `at`, because it begins now")
-    try:
-        entry = numbered_values(entry, scenario.nodes)
-    except KeyError as error:
-        nodes = ", ".join(scenario.nodes)
-        raise RefusedError(f"there is no node {error.args[0]}; the nodes are {nodes}") from None
-    try:
-        section = read_entry(entry | {"at": f"{tick * scenario.tick_ns} ns"})
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        said = str(first.get("ctx", {}).get("message", first["msg"]))
-        hint = first.get("ctx", {}).get("hint", "")
-        where = ".".join(str(step) for step in first["loc"] if step != "[key]")
-        raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
-    if scenario.nodes and section.kind.name not in OF_ROBOTS:
-        raise RefusedError(f"{section.kind.name} concerns vehicles of ours; known: {', '.join(sorted(OF_ROBOTS))}")
-    problem = next(fault_problems(section, scenario.spec, scenario.graph.links), None)
-    if problem is not None:
-        raise RefusedError(str(problem))
-    conditions = section.values.values() if section.kind.name == "link" else ()
-    if any(condition.seed is not None for condition in conditions):
-        raise RefusedError("a seed belongs in a scenario, because a link keeps its draws during a run")
-    return section
-
-
-# --- fleet
-
-
-class Fleet(Protocol):
-    """A running fleet: what an operator asks of it, and changes in it. `Supervisor` and `InProcess` are such fleets."""
-
-    @property
-    def granted(self) -> int:
-        """The grant: a tick. Earlier ticks may have begun."""
-
-    @property
-    def waiting(self) -> str:
-        """The processes that the run waits for, in words. Empty: the run moves."""
-
-    def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
-        """Replace netem's faults; False: it did not answer, and nothing was changed."""
-
-    def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
-        """Replace the world's faults before the first tick that is not granted yet."""
-
-    def without_agent(self) -> list[int]:
-        """The vehicles that have no agent now."""
-
-    def end_agents(self, kill: Kill) -> None:
-        """End agents because the operator asks for it."""
-
-    def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
-        """Start vehicle i's agent again at a tick; it has been missing since tick `begin` (None: whenever)."""
-
-
-# --- live status: how the vehicles and the links of a live run are doing: what `fleet status` shows of them
-# Nothing of it is kept while the run goes on: it is computed when somebody asks, and for the worst rows only.
-
-
-WORST_VEHICLES, WORST_LINKS = 10, 5
-MOST_ROWS = 500  # of each kind in one answer, also when all are asked for
-
-
-def vehicle_rows(
-    scenario: Scenario, journal: Journal, dead: Collection[int], *, every: bool = False
-) -> list[dict[str, Any]]:
-    """A row for each vehicle; of many, those with the greatest formation errors. In the order of their numbers."""
-    series = journal.metrics.series
-    worst = sorted((i for i in series if series[i].formation), key=lambda i: -badness(series[i].formation[-1]))
-    ages = _oldest(scenario, journal)
-    return [
-        {
-            "vehicle": i,
-            "state": _state(i, journal, dead),
-            "formation_m": series[i].formation[-1],
-            "e_m": series[i].e[-1],
-            "settled": _settled(scenario, journal, series[i]),
-            "oldest_s": ages[i][0] * scenario.tick_ns / 1e9 if i in ages else None,
-            "oldest_of": ages[i][1] if i in ages else None,
-        }
-        for i in sorted(worst[: MOST_ROWS if every else WORST_VEHICLES])
-    ]
-
-
-def link_rows(scenario: Scenario, journal: Journal, *, every: bool = False) -> list[dict[str, Any]]:
-    """A row for each link, the worst ones first: what was heard last is oldest, then the greatest share is lost."""
-    rows: list[dict[str, Any]] = []
-    now = max(0, journal.written)
-    for (src, dst), account in journal.ledger.accounts.items():
-        lost = sum(account.lost.values()) - account.replaced
-        settled = account.delivered + lost
-        age_s = (now - journal.ages.links[src, dst].heard) * scenario.tick_ns / 1e9
-        share = lost / settled if settled else 0.0
-        counts = {"delivered": account.delivered, "lost": lost, "lost_share": share}
-        name = scenario.link_name((src, dst))
-        rows.append({"link": name, "src": src, "dst": dst, **counts, "age_s": age_s})
-    rows.sort(key=lambda row: (-row["age_s"], -row["lost_share"], row["src"], row["dst"]))
-    return rows[: MOST_ROWS if every else WORST_LINKS]
-
-
-def event_rows(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
-    """The events of vehicles: a row for each vehicle and kind, in the order of their first occurrence."""
-    events = [event for event in journal.happened if not event.is_fault]
-    begun = [event for event in events if event.action == "begins"]
-    ended = {event.fault for event in events if event.action == "ends"}
-    last = {event.what: event for event in begun}
-    return [
-        {
-            **asdict(row),
-            "id": last[row.what].fault,
-            "last_s": last[row.what].tick * scenario.tick_ns / 1e9,
-            "lasts": last[row.what].fault not in ended,
-        }
-        for row in vehicle_events((event.what, event.tick * scenario.tick_ns / 1e9) for event in begun)
-    ]
-
-
-def badness(error_m: float | None) -> float:
-    """By what errors are put in order: what is no number is worst."""
-    return error_m if error_m is not None and isfinite(error_m) else inf
-
-
-def _state(i: int, journal: Journal, dead: Collection[int]) -> str:
-    if i in journal.diverged:
-        return "diverged"
-    words = ["tumbled"] * (i in journal.tumbled) + ["no agent"] * (i in dead)
-    return ", ".join(words) or "alive"
-
-
-def _settled(scenario: Scenario, journal: Journal, series: Series) -> bool:
-    """Whether the consensus error has been below 5 cm for as long as the result table asks for, up to now."""
-    times = journal.metrics.times
-    least = least_s(scenario.disturbance, times[-1] - times[0])
-    begin = max(0, bisect_left(times, times[-1] - least) - 1)  # only so much is looked at, however long the run is
-    first = below_from(series.e, SETTLE_M, begin, len(times))
-    return first < len(times) and stayed(times, first, len(times), least)
-
-
-def _oldest(scenario: Scenario, journal: Journal) -> Mapping[int, tuple[int, int]]:
-    """By vehicle: the greatest age [ticks] of its last message from a neighbour, and the number of that neighbour."""
-    now = max(0, journal.written)
-    found: dict[int, tuple[int, int]] = {}
-    for (src, dst), age in journal.ages.links.items():
-        found[dst] = max(found.get(dst, (-1, 0)), (now - age.heard, src))
-    return found
-
-
 JUDGE_EVERY_S = 0.5  # at most, whoever asks
-JUDGE_SHARE = 0.01  # of the console's time
+JUDGE_SHARE = 0.01  # share of the console's time
 MOST_SPEED = 1e6  # times real time; more than any machine makes, and finite
 
 
@@ -372,7 +196,7 @@ class Operator:
     def _round_of_restart(self, tick: int, kills: Sequence[Kill]) -> int:
         m = self.scenario.round_ticks
         first = -(-tick // m) * m
-        # Of a kill that begins right there, a process may have been ended already.
+        # A kill that begins right there may have ended a process already.
         return first + m if any(kill.begin >= first for kill in kills) else first
 
     def _replace(self, faults: Sequence[Part]) -> None:

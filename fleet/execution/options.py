@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fleet.option import Kind, Limits, Option
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 if TYPE_CHECKING:
     from fleet.execution.rendezvous import Rendezvous
@@ -50,6 +50,6 @@ class Options:
     quiet: OnlyDirectory = False
     on_published: Callable[[Path], None] | None = None  # is told the run's directory when its journal can be read
     start: Start | None = None  # where it goes on from another run; in-process only
-    start_order: Callable[[list[str]], list[str]] | None = None  # of roles; None: the usual order
+    start_order: Callable[[list[str]], list[str]] | None = None  # orders the roles; None: the usual order
     rendezvous: Rendezvous | None = None  # how processes on several hosts meet; None: all are on this one
     relay: MakeRelay | None = None  # makes the run of a scenario with nodes

@@ -32,7 +32,15 @@ def settle(journal: Journal, log: LogFile | NoLog, runner: Runner, result: Resul
 
 
 def judge_run(scenario: Scenario, journal: Journal, result: Result, *, lost: int, more: Sequence[Verdict] = ()) -> None:
-    """Judge a run at its end; it lost so many messages. `more`: verdicts that are no checks of the scenario."""
+    """Judge a run at its end.
+
+    Args:
+        scenario: what was run.
+        journal: what was recorded.
+        result: takes the verdicts and the status.
+        lost: number of messages that the middleware lost.
+        more: verdicts that are no checks of the scenario.
+    """
     if result.status is not Status.PASS:
         return
     result.checks = [*judge(scenario, journal, middleware_lost=lost), *more]

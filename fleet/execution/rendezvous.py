@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from netem.files import write_whole
+from netem.whole_file import write_whole
 from netem.wire.credentials import Credentials, Listener, agent_role
 from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION
@@ -69,9 +69,9 @@ class Rendezvous:
     router: str | None = None  # endpoint of a router that is there already; None: the world hosts one
     credentials: dict[str, Credentials] | None = None  # by role; None: fresh ones
     listener: Listener | None = None  # where the run's own router listens for other hosts
-    reached: str = ""  # endpoints for join files, with commas between them; empty: those of this host
+    reached: str = ""  # endpoints for join files, with commas between them; empty: this host's
     ca: str = ""  # PEM: goes into join files
-    certificates: dict[str, KeyPair] = field(default_factory=dict)  # of external agents, by role
+    certificates: dict[str, KeyPair] = field(default_factory=dict)  # for external agents, by role
     certified: Listener | None = None  # where the run listens for agents that have a certificate and no password
     folders: dict[int, JoinFolder] = field(default_factory=dict)  # what these join with, by vehicle
     lease_ms: int | None = None  # between hosts; None on one host

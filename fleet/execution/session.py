@@ -1,4 +1,7 @@
-"""The console's session on the bus: what it publishes, asks and answers, and what it turns into events."""
+"""The console's session on the bus: what it publishes, asks and answers, and the events that it makes of what comes.
+
+The events are in one queue, the console's input. The watcher of processes puts its events there, too.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +19,17 @@ from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.hosting import Hosting
 from fleet.execution.notes import Notes
 from fleet.scenario.scenario import Scenario
+from netem.clock import Clock
 from netem.errors import BusError
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
+from netem.wire.control import read_map, request
 from netem.wire.credentials import Credentials, agent_role, host_role
 from netem.wire.keys import Keys
-from netem.wire.mailbox import read_map, request
 from netem.wire.messages import Frames, Hello, LinkReport, Message
 
-# --- events: the console's input, one queue of events, filled by the threads of zenoh and the watcher of processes
+CONNECT_S = 10.0
+CONNECT_TRY_MS = 500
 
 
 class EventKind(StrEnum):
@@ -69,10 +73,6 @@ class EventQueue:
         deadline = time.monotonic() + duration_s
         while (left_s := deadline - time.monotonic()) > 0:
             yield from self.take(left_s)
-
-
-CONNECT_S = 10.0
-CONNECT_TRY_MS = 500
 
 
 def connect_to_world(endpoint: str, credentials: Credentials, meanwhile: Callable[[], None]) -> Bus:

@@ -8,28 +8,28 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from inspect import signature
 from math import dist
 from pathlib import Path
-from typing import Any, NamedTuple, Never, Self
+from typing import Any, NamedTuple, Never, Protocol, Self
 
 from agents.errors import AgentError
 from fleet.analysis.verdicts import judge, standing
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
-from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import refuse
+from fleet.execution.fault_request import RefusedError
 from fleet.execution.in_process import MakeLife, in_process
-from fleet.execution.operator import Operator, RefusedError
+from fleet.execution.operator import Operator
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.triggered import resolve_triggers
 from fleet.notebook import html_table
 from fleet.quantities import QuantityError, show_time, time_ns
-from fleet.recorder.journal import WatchedLog, Watcher
+from fleet.recorder.journal import JournalSink
 from fleet.recorder.log_file import LogFile, NoDigest, NoLog
+from fleet.recorder.metrics import VehicleError
 from fleet.recorder.writer import LogWriter
-from fleet.result.file import write_result
 from fleet.result.result import Result, Status, Wall
 from fleet.result.verdict import Margin
 from fleet.scenario.loading import changed, load_scenario
@@ -38,7 +38,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.fault_words import read_fault
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 from netem.parsing import nearest
-from netem.wire.messages import Nav
+from netem.wire.messages import Command, Frame, Nav
 from world.errors import WorldError
 from world.plugins.trust import trusting
 from world.vectors import Vec5, plus
@@ -63,7 +63,7 @@ class State(NamedTuple):
     tick: int  # the next one
     t: float  # when that begins [s]
     vehicles: dict[int, VehicleState]
-    faults: tuple[str, ...]  # ids of those that are active
+    faults: tuple[str, ...]  # ids of the active ones
 
     def _repr_html_(self) -> str:
         rows = [
@@ -96,7 +96,11 @@ class Run:
 
         Args:
             scenario: a shipped name, a file, or a loaded scenario.
-            set: changes, as for `fleet.run`; so `net`, `fault`, `seed` and `trust`.
+            set: changes of keys, as for `fleet.run`.
+            net: conditions of links, as for `fleet.run`.
+            fault: faults in the words of `fleet inject`, as for `fleet.run`.
+            seed: in place of the scenario's.
+            trust: run modules, too, that are neither installed nor the user's own.
             log: a new file that records the run. None: the run is not recorded.
 
         Raises:
@@ -121,9 +125,13 @@ class Run:
         """The run of a scenario that is loaded.
 
         Args:
+            scenario: what is run.
             log: where it is recorded; None: nowhere, with the digest that a log would have.
             watcher: sees every frame.
             agents: by vehicle, what makes an agent in place of the scenario's.
+
+        Returns:
+            The run before its first tick.
 
         Raises:
             CheckError: a check in Python cannot be made.
@@ -142,7 +150,7 @@ class Run:
     ) -> None:
         refuse(scenario, "a run in one process")
         if agents and scenario.spec.triggers:
-            # Their moments are found in a run before this one, and nothing is known of what these agents will do.
+            # The moments of triggers are found in a run before, which does not know what these agents will do.
             raise FleetError(
                 "triggers: they cannot be combined with agents that are given in Python; leave them out, or inject a "
                 "fault when its moment has come"
@@ -187,7 +195,7 @@ class Run:
         tick_s, dead, vehicles = scenario.tick_ns / 1e9, self._runner.without_agent(), {}
         for i in world.ids:
             eta, nu = world.state(i)
-            t = world.tick(i) * tick_s  # of an agent that answers later it is the tick before
+            t = world.tick(i) * tick_s  # an agent that answers later is still at the tick before
             place = plus(scenario.reference.at(t).position, scenario.plans[i - 1].at(t).position)
             vehicles[i] = VehicleState(i, i not in dead, eta, nu, self._runner.told.get(i), dist(eta[:3], place))
         tick = min(map(world.tick, world.ids))
@@ -206,6 +214,9 @@ class Run:
         Args:
             check: name of the check.
 
+        Returns:
+            The margin with its unit, and when it was least [s].
+
         Raises:
             FleetError: the scenario has no such check.
         """
@@ -215,9 +226,15 @@ class Run:
         return verdicts[check].margin
 
     def step(self, by: int | str = 1) -> State:
-        """Go on by some ticks, or by a time such as "1 s", at most to the end of the run.
+        """Go on, at most to the end of the run.
 
         If the run breaks, `over` is True from then on, and `result` says why.
+
+        Args:
+            by: a number of ticks, or a time such as "1 s".
+
+        Returns:
+            The fleet before the next tick.
 
         Raises:
             FleetError: the run is over, or the time is no whole number of ticks.
@@ -226,7 +243,14 @@ class Run:
         return self.state
 
     def go(self, ticks: int) -> None:
-        """As `step`, by a number of ticks, without computing the state."""
+        """As `step`, without computing the state.
+
+        Args:
+            ticks: by how many to go on, at most to the end of the run.
+
+        Raises:
+            FleetError: the run is over.
+        """
         if self._closed:
             raise FleetError(f"the run is over at t = {self.t:g} s: {self._result.reason or 'it came to its end'}")
         with self._going_on():
@@ -236,7 +260,12 @@ class Run:
             self._finish()
 
     def answer(self, i: int, answers: list[Any]) -> None:
-        """Take what agent i answers now; of agents that answer later than they are asked."""
+        """Take the answers of an agent that answers later than it is asked.
+
+        Args:
+            i: number of its vehicle.
+            answers: its messages, in their order.
+        """
         with self._going_on():
             self._runner.answer(i, answers)
         if self._runner.finished:
@@ -292,10 +321,13 @@ class Run:
         return self._runner.can_be_copied
 
     def to_end(self, progress: Callable[[float], None] | None = None) -> Result:
-        """Go on to the end of the run; returns the result.
+        """Go on to the end of the run.
 
         Args:
             progress: called with the simulated time [s] all the time.
+
+        Returns:
+            The verdicts and all numbers, also of a run that broke.
         """
         tick_s = self.scenario.tick_ns / 1e9
 
@@ -387,6 +419,19 @@ def loaded(
 ) -> Scenario:
     """The scenario that a function was given, with the changes.
 
+    Args:
+        function: the function, for the words about an unknown argument.
+        scenario: a shipped name, a file, or a loaded scenario.
+        set: changes, as for `fleet.run`; so `net`, `fault`, `seed` and `trust`.
+        net: conditions of links.
+        fault: further faults.
+        seed: replaces the scenario's seed.
+        trust: run modules, too, that are neither installed nor the user's own.
+        unknown: arguments that the function does not have.
+
+    Returns:
+        The scenario with every change in it.
+
     Raises:
         ScenarioError: with every mistake that was found.
         TypeError: an argument is unknown.
@@ -415,6 +460,12 @@ def loaded(
 def override_texts(changes: Changes) -> list[str]:
     """Changes as the texts of `--set`.
 
+    Args:
+        changes: a mapping of keys to values, or such texts.
+
+    Returns:
+        Texts such as `duration=20 s`.
+
     Raises:
         TypeError: they are neither a mapping nor texts.
     """
@@ -426,81 +477,19 @@ def override_texts(changes: Changes) -> list[str]:
     return [str(change) for change in changes]
 
 
-# --- judged: the result of a run that nobody steps, for scripts and studies
+class Watcher(Protocol):
+    """Sees every frame, with its decoded commands and errors by vehicle."""
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
 
 
-def run(
-    scenario: str | Path | Scenario,
-    *,
-    set: Changes = (),
-    net: Iterable[str] = (),
-    fault: Iterable[str] = (),
-    seed: int | None = None,
-    trust: bool = False,
-    out: str | Path | None = None,
-    progress: Callable[[float], None] | None = None,
-    **unknown: Never,
-) -> Result:
-    """Run a scenario in this process and judge it.
+class WatchedLog:
+    """A sink of the journal that passes everything on."""
 
-    The result is that of `fleet run --in-process --set ...`, to the digest of the log, written or not.
+    def __init__(self, log: JournalSink, watcher: Watcher) -> None:
+        self._log, self._watcher = log, watcher
+        self.packet, self.event = log.packet, log.event
 
-    Example:
-        >>> result = fleet.run("paper", set={"duration": "30 s"}, out="runs")
-        >>> log = fleet.open_log(result.directory)
-
-    Args:
-        scenario: a shipped name, a file, or a loaded scenario.
-        set: changes, as `--set`: a mapping such as `{"network.links": {"*": "loss 30 %"}, "duration": "20 s"}`,
-            or texts such as `"duration=20 s"`.
-        net: conditions of links, as `--net`: `["1->2 loss 30%"]`.
-        fault: further faults, as `--fault`: `["at 10 s for 5 s down 1<->2"]`.
-        seed: replaces the scenario's seed.
-        trust: run modules, too, that are neither installed nor the user's own.
-        out: the folder for a run directory, as `--out`; `latest` in it is then this run. None: no file is written, and
-            `runs/latest` is still the run before.
-        progress: called with the simulated time [s] during the run.
-
-    Returns:
-        The verdicts and all numbers. A run that breaks is a result, too: its `status` and `reason` say why.
-
-    Raises:
-        ScenarioError: with every mistake that was found.
-        LogError: the log cannot be written.
-        FleetError: somebody else is to start an agent, or the run directory cannot be made.
-        TypeError: an argument is unknown; keys of the scenario go into `set`.
-    """
-    found = loaded(run, scenario, set, net, fault, seed, trust, unknown)
-    if out is None:
-        return judged(found, progress)
-    found = resolve_triggers(found)  # the record has the faults that triggers began
-    with closing(RunDirectory(Path(out), found.name, found.seed)) as directory:
-        directory.write_scenario(found.to_yaml())
-        result = judged(found, progress, log=LogFile(directory.log))
-        result.run, result.directory = directory.path.name, directory.path
-        try:
-            write_result(result, directory.path)
-        except OSError as error:
-            result.lines.append(f"result.json could not be written: {error.strerror}")
-            directory.remove_result()
-    return result
-
-
-def judged(
-    scenario: Scenario,
-    progress: Callable[[float], None] | None = None,
-    watcher: Watcher | None = None,
-    log: LogFile | NoLog | None = None,
-) -> Result:
-    """The result of a scenario that is loaded; see `run`.
-
-    Args:
-        watcher: sees every frame.
-        log: where the run is recorded; None: nowhere, with the digest that a log would have.
-
-    Raises:
-        LogError: the log cannot be written.
-        CheckError: a check in Python cannot be made.
-    """
-    with Run.prepared(scenario, log, watcher) as run:
-        return run.to_end(progress)
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        self._log.frame(frame, commands, errors)
+        self._watcher.frame(frame, commands, errors)

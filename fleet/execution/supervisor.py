@@ -9,289 +9,38 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import chain
-from socket import socket
-from typing import Any
 
 import agents.main
 import agents.process
-import netem.main
-import world.main
-from agents.process import running
 from fleet.errors import RunBroken
+from fleet.execution.diagnosis import explain, who_waits
 from fleet.execution.directory import RunDirectory
 from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.hosting import Hosting
-from fleet.execution.notes import Notes, folded, tick_text, without_agent
+from fleet.execution.launch import Launch
+from fleet.execution.notes import Notes, tick_text
 from fleet.execution.options import Options
-from fleet.execution.rendezvous import Rendezvous
 from fleet.execution.session import EventKind, EventQueue, Session, connect_to_router, connect_to_world
 from fleet.processes.children import (
     FORKSERVER_LOST,
-    Child,
     Children,
     Exit,
-    RunFolder,
     describe_exit,
     ended,
-    forkserver_death,
-    forkserver_suspended,
-    suspended,
 )
-from fleet.processes.limits import allow_open_files, free_port, processors
 from fleet.recorder.journal import Journal
 from fleet.scenario.faults.kind import Kill
-from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.timeline import MOST_RESTARTS
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.lives import Absence, Lives
-from netem.vehicle_clock import Clock
 from netem.wire.bus import Bus
-from netem.wire.credentials import CONSOLE, LEASE_MS, NETEM, OPERATOR, WORLD, Listener, agent_role, generate, host_role
+from netem.wire.credentials import CONSOLE, NETEM, WORLD, agent_role
 from netem.wire.keys import Keys
 from netem.wire.messages import RUN_OVER, Death, Restart, WorldFault, WorldFaults
-from netem.wire.session import PENDING
-from netem.wire.vehicle_bus import Ends
-
-# --- launch
-# The processes of a run: the world, netem and the agents, each with its credentials and its part of the scenario.
-
-
-FORKSERVER_S = 0.2  # how long to wait for the end of a fork server that does not answer
-# Processes of agents that the world asks at a time; more of them find colder caches, fewer leave processors idle.
-ASKED_PER_CPU = 3
-
-Target = tuple[Callable[..., None], tuple[Any, ...]]  # a function that a process runs, and its arguments
-
-
-class Launch:
-    """Starts the processes of one run, each with what it needs."""
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        options: Options,
-        hosting: Hosting,
-        keys: Keys,
-        directory: RunDirectory,
-        children: Children,
-    ) -> None:
-        """Choose endpoints, make credentials and the folder of the run's socket; nothing is started. Raises RunBroken
-        if the port is taken, or this machine allows too few open files, or has no place for the folder.
-        """
-        self._scenario, self._options, self._hosting, self._keys = scenario, options, hosting, keys
-        self._directory, self._children = directory, children
-        self._rendezvous = options.rendezvous or Rendezvous()
-        everyone = tuple(range(1, scenario.vehicles + 1))
-        self.credentials = self._rendezvous.credentials or generate(everyone, hosts=hosting.members)  # by role
-        self.joins_router = self._rendezvous.router is not None  # one that is there already; else the world hosts one
-        self._listener = self._other_endpoints()
-        others = self._listener or self._rendezvous.certified
-        allow_open_files(scenario.vehicles, others=PENDING if others else 0)
-        self._private = RunFolder()
-        # On a wall clock a suspended agent would leave its navs unread, and the world would wait for room. To a host
-        # zenoh carries the messages of many agents at once, and sockets besides it cost more than they save.
-        self._ends = Ends() if options.clock is Clock.LOCKSTEP and not hosting.members else None
-        self.endpoint = self._rendezvous.router or self._private.endpoint  # for the run's own processes
-
-    def admit(self, external: ExternalAgents) -> None:
-        """Tell commands and external agents, in files, how to reach this run. Raises FleetError if a file cannot be
-        written.
-        """
-        self._directory.write_connection(
-            {
-                "endpoint": self.endpoint,
-                "run": self._keys.run,
-                "scenario": self._scenario.name,
-                "pid": os.getpid(),
-                **self.credentials[OPERATOR].to_values(),
-            }
-        )
-        meeting = self._rendezvous
-        endpoint = meeting.reached or (self._listener.endpoints[0] if self._listener else self.endpoint)
-        credentials = {role: meeting.external_credentials(role, known) for role, known in self.credentials.items()}
-        external.open(endpoint, self._keys, credentials, meeting.folders)
-
-    def targets(self) -> dict[str, Target]:
-        """The function of each process, by role. The processes start in this order."""
-        here = self.endpoint, self._keys.run
-        network = self._scenario.netem_config, self._options.clock, self._hosting.members
-        targets: dict[str, Target] = {WORLD: self._world()}
-        targets[NETEM] = netem.main.run, (*here, self.credentials[NETEM], *network)
-        for h, role in enumerate(map(host_role, range(1, len(self._hosting.members) + 1)), start=1):
-            targets[role] = agents.main.run_host, (*here, h, self.credentials[role], self._private.path / role)
-        elsewhere = {*self._scenario.external, *chain(*self._hosting.members)}
-        for i in range(1, self._scenario.vehicles + 1):
-            if i not in elsewhere:
-                targets[agent_role(i)] = self.agent(i)
-        order = self._options.start_order
-        return targets if order is None else {role: targets[role] for role in order(list(targets))}
-
-    def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
-        """The function that an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
-        credentials = self.credentials[self._hosting.role(i)]
-        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, self._end(i), incarnation, begin)
-
-    def _end(self, i: int) -> socket | None:
-        """The end of a vehicle's bus for an agent that is about to start; None: the bus is on zenoh."""
-        if self._ends is None:
-            return None
-        try:
-            return self._ends.new(i)
-        except OSError:  # no descriptor is left; or the world has ended, which its exit explains
-            return None
-
-    def computing(self, role: str) -> int:
-        """The vehicle whose agent a host computes, or computed when it ended. 0: no vehicle, or not a host."""
-        return running(self._private.path / role)
-
-    def start(self, role: str, target: Target) -> None:
-        """Start a process, named in `ps` after its role and the scenario. Raises RunBroken: it could not be started."""
-        function, arguments = target
-        title = f"fleet {role.replace('-', ' ')} [{self._scenario.name}]"
-        try:
-            self._children.start(role, title, self._directory.process_log(role), function, *arguments)
-        except TimeoutError as error:
-            raise RunBroken(f"{role} could not be started: {error}") from error
-        except (EOFError, OSError) as error:
-            why = forkserver_death(FORKSERVER_S) or str(error) or type(error).__name__
-            raise RunBroken(f"{role} could not be started: {why}") from error
-        finally:
-            for one in arguments:
-                if isinstance(one, socket):
-                    one.close()  # the process has it
-
-    def close(self) -> None:
-        """Remove the folder of the run's socket: from now on nobody joins."""
-        self._private.close()
-        if self._ends is not None:
-            self._ends.close()
-
-    def _world(self) -> Target:
-        scenario = self._scenario
-        # An agent elsewhere may take long to answer, and keep the turn of one that would not.
-        most_asked = scenario.vehicles if scenario.external else ASKED_PER_CPU * processors()
-        sea = world.main.Sea(
-            scenario.world_config, frame_every(scenario), self._options.clock, self._options.speed or 1.0, most_asked
-        )
-        ends = None if self._ends is None else self._ends.of_world
-        if self.joins_router:
-            return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], sea, ends)
-        clients = {role: known for role, known in self.credentials.items() if role != WORLD}
-        listening = self._listener, self._rendezvous.certified, self._hosting.members
-        return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, sea, *listening, ends)
-
-    def _other_endpoints(self) -> Listener | None:
-        listener = self._rendezvous.listener
-        if self._options.port is None or self.joins_router:
-            return listener
-        loopback = f"tcp/127.0.0.1:{free_port(self._options.port)}"
-        if listener is None:
-            return Listener((loopback,), LEASE_MS)
-        return replace(listener, endpoints=(loopback, *listener.endpoints))
-
-
-# --- post mortem
-# Explains why a run cannot go on: a process ended, with its last lines, or the run waits for a process.
-
-
-MOST_NAMED = 8  # processes in a line
-_REAPED_S = 2.0  # the sockets of a fork server that is killed close a moment before it can be reaped
-
-
-def explain(
-    exits: Sequence[Exit],
-    children: Mapping[str, Child],
-    notes: Sequence[str],
-    at: str,
-    computing: Callable[[str], int] = lambda _: 0,
-) -> RunBroken:
-    """The error for processes that ended at about the same time: which one ended first, how, and its last lines.
-
-    Args:
-        children: the processes by role. If an agent shares a process, its role has that process.
-        notes: of the run. The error repeats those about the agent that ended, and names other agents with the same.
-        at: the time in the run, in words.
-        computing: returns the agent that a host was computing when it ended. 0: none, or the process is no host.
-    """
-    if any(e.code == FORKSERVER_LOST for e in exits) and (death := forkserver_death(_REAPED_S)) is not None:
-        return RunBroken(f"{death} at {at}; every process of the run ended with it")
-    # The world hosts the router: when it ends, others may lose their session and end as well.
-    first, *others = sorted(exits, key=lambda e: (e.role != WORLD, e.code >= 0, e.role))
-    child = children[first.role]
-    culprit = computing(first.role)
-    reason = f"{first.role.replace('-', ' ')} ({_where(first.role, child)}) {describe_exit(first.code)} at {at}"
-    reason += f" while agent {culprit} computed" if culprit else ""
-    about = [note for note in notes if f"agent {culprit or first.role.removeprefix('agent-')}:" in note]
-    alike = {without_agent(note) for note in about}
-    lines = folded([*about, *(note for note in notes if note not in about and without_agent(note) in alike)])
-    tail = child.tail()
-    # A traceback ends in what the note says.
-    if about and any(line.lstrip().startswith(("Traceback ", 'File "')) for line in tail):
-        lines.append(f"the traceback is in {child.log_path}")
-    else:
-        lines.append(f"last lines of {child.log_path}:")
-        lines += [f"  {line}" for line in tail or ["(nothing printed)"]]
-    if others:
-        named = ", ".join(f"{e.role} ({describe_exit(e.code)})" for e in others[:MOST_NAMED])
-        lines.append("also ended: " + named + _more(len(others)))
-    return RunBroken(reason, lines)
-
-
-def who_waits(
-    world: Mapping[str, Any],
-    network: Mapping[str, Any],
-    children: Mapping[str, Child],
-    external: Collection[int],
-    *,
-    log_is_behind: bool,
-    computing: Callable[[str], int] = lambda _: 0,
-) -> str:
-    """The agents or processes that have not answered, in words. `world` and `network` are their answers to `waiting`,
-    empty without one; `external` are vehicles without a child process. `log_is_behind`: the journal has received more
-    than the log holds. The rest is as for `explain`.
-    """
-    if not world:
-        return "waiting for the world" + _condition(WORLD, children[WORLD])
-    if not network:
-        return "waiting for netem" + _condition(NETEM, children[NETEM])
-    late = sorted({i for i, _ in world.get("waiting", ())})
-    if missing := network.get("missing"):
-        # The rest wait for an inbox, which waits for these.
-        late = [i for i in missing if i in late] or late
-    if not late:
-        return "waiting for the log" if log_is_behind else "waiting"
-    # Of a host's agents only the one that computes is late; the others wait for it.
-    busy = {host: computing(host) for i in late if i not in external and (host := children[agent_role(i)].role)}
-    late = [i for i in late if i in external or busy[children[agent_role(i)].role] in (0, i)] or late
-    named = [
-        f"agent {i}" + (" (external)" if i in external else _condition(agent_role(i), children[agent_role(i)]))
-        for i in late[:MOST_NAMED]
-    ]
-    return "waiting for " + ", ".join(named) + _more(len(late))
-
-
-def _more(total: int) -> str:
-    return f" and {total - MOST_NAMED} more" if total > MOST_NAMED else ""
-
-
-def _where(role: str, child: Child) -> str:
-    return f"pid {child.pid}" if child.role == role else f"{child.role}, pid {child.pid}"
-
-
-def _condition(role: str, child: Child) -> str:
-    """Words on a process that cannot answer, so that a forgotten SIGSTOP is seen at once; mostly none, or the host."""
-    where = _where(role, child)
-    if ended(child.pid):  # and its exit has not been reported
-        return f" ({where} has ended; {forkserver_suspended() or 'it has not been reaped yet'})"
-    if suspended(child.pid):
-        return f" ({where} is suspended)"
-    return "" if child.role == role else f" ({where})"
-
 
 CONTROLLER_FAILED = agents.process.CONTROLLER_FAILED
 POLL_S = 0.02
@@ -329,11 +78,11 @@ class Supervisor:
         self.begun = False  # everyone was ready and the clock runs; before that no agent may end
         self._vehicles = tuple(range(1, scenario.vehicles + 1))
         self._lives = Lives(scenario.faults.absences)
-        self._incarnation = dict.fromkeys(self._vehicles, 0)  # of the agent that was started last
+        self._incarnation = dict.fromkeys(self._vehicles, 0)  # number of the life that was started last
         self.starting: dict[int, int] = {}  # vehicle -> tick of the agent that was started again and is not ready
         self._polled_s = 0.0
         self._ending: set[int] = set()  # vehicles whose agent, the one that was started last, was asked to end
-        self._gone: set[int] = set()  # and whose has ended
+        self._gone: set[int] = set()  # vehicles whose agent has ended
         self._restarts: dict[int, int] = {}  # vehicle -> how often because of on_death
         self.deaths: dict[int, list[str]] = {}  # vehicle -> how its agents died
 
@@ -415,6 +164,7 @@ class Supervisor:
 
     def next_restart(self) -> int:
         """The first begin of an agent that is not ready yet, as a tick. The clock stops before it."""
+        # Simulated time waits for the process, so the result does not depend on the 0.3 s that Python takes to start.
         planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 
@@ -425,7 +175,7 @@ class Supervisor:
         own = [*self._hosting.agents(exit_.role)]
         if not own:
             return False
-        if exit_.role != agent_role(own[0]):  # of a host; those that were started again are elsewhere
+        if exit_.role != agent_role(own[0]):  # a host ended; agents that were started again are elsewhere
             own = [i for i in own if not self._incarnation[i] and i not in self._gone]
         died = [i for i in own if i not in self._ending]
         if died and not self._survivable(exit_):

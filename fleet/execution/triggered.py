@@ -25,7 +25,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.timeline import Event
-from fleet.scenario.text.yaml_writer import scenario_yaml
+from fleet.scenario.text.scenario_yaml import scenario_yaml
 from netem.wire.messages import Command, Fate, Frame
 from world.errors import WorldError
 

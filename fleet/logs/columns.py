@@ -207,7 +207,7 @@ def extremes(buckets: Array, columns: Iterable[Array]) -> Array:
 
 
 def cost(columns: Columns, size: int) -> int:
-    """Bytes that columns of messages of so many bytes take."""
+    """Bytes that the columns of messages take, from the bytes of the messages."""
     total = 0
     for values in columns.values():
         total += values.nbytes

@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
 
+from fleet.logs.digest import Digest
 from fleet.logs.fault_intervals import FaultInterval, fault_intervals
 from fleet.logs.reader import LogReader, LogReadError, OnProgress, digest, log_path, log_size
-from fleet.logs.records import Block, Digest
+from fleet.logs.records import Block
 from fleet.logs.schemas import FROM_TICK
 from fleet.logs.topic import STEP, LogKeyError, Topic
 from fleet.logs.topic_names import link_of
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fleet.scenario.scenario import Scenario
-
-
-# --- part: which messages of a log are kept: those of a time, and one in a number of each topic
 
 
 class Part(NamedTuple):
@@ -93,6 +91,12 @@ class Log:
     def __getitem__(self, topic: str) -> Topic:
         """The topic of a name.
 
+        Args:
+            topic: such as `uuv/1/state`.
+
+        Returns:
+            Its messages. They are decoded when a field is first used.
+
         Raises:
             LogKeyError: the log has no such topic; a `KeyError` as well.
         """
@@ -122,7 +126,7 @@ class Log:
 
     @property
     def topics(self) -> list[str]:
-        """The names of all topics in the order of the file, also of those without a message."""
+        """The names of all topics in the order of the file, also of topics without a message."""
         return list(self._topics)
 
     @property
@@ -140,7 +144,7 @@ class Log:
         """When its run began [s]: later than 0 if it went on from another one."""
         try:
             begin = int(self.run.get(FROM_TICK, "0")) * int(self.run["tick_ns"]) / 1e9
-        except (KeyError, ValueError, OverflowError):  # of another program, which says what it likes
+        except (KeyError, ValueError, OverflowError):  # another program may have written anything there
             return 0.0
         return begin if 0.0 <= begin < self.end else 0.0
 
@@ -170,6 +174,12 @@ class Log:
             >>> fleet.open_log("runs/latest").to_xarray("uuv/1/state").z.attrs["units"]
             'm'
 
+        Args:
+            topic: name of the topic.
+
+        Returns:
+            Variables of (t,) each, a vector as one variable per component.
+
         Raises:
             FleetError: xarray is not installed (extra `tables`), or the topic is no table.
             LogReadError: there is no such topic, or more memory is needed than allowed; `open_log` can choose topics.
@@ -181,7 +191,13 @@ class Log:
         return tree(self.path, self._topics.values(), self.run, self.most_held)
 
     def to_pandas(self, topic: str) -> pd.DataFrame:
-        """A topic as a table; `attrs["units"]` and `attrs["meanings"]` have those of its columns.
+        """A topic as a table.
+
+        Args:
+            topic: name of the topic.
+
+        Returns:
+            A row per message, a column per number. `attrs["units"]` and `attrs["meanings"]` say what is in each column.
 
         Raises:
             FleetError: pandas is not installed (extra `tables`), or the topic is no table.
@@ -212,6 +228,9 @@ class Log:
         """SHA-256 over the ordered messages of the file, in hexadecimal, as `fleet run` prints it.
 
         It covers all topics, also unopened ones. For a damaged file it covers the part before the damage.
+
+        Raises:
+            LogReadError: the file is not there any more.
         """
         return digest(self.path)
 
@@ -226,7 +245,11 @@ class Log:
 
     @property
     def events(self) -> list[FaultInterval]:
-        """When vehicles were tumbled or diverged, in the order of the beginnings. Raises LogReadError as `faults`."""
+        """When vehicles were tumbled or diverged, in the order of the beginnings.
+
+        Raises:
+            LogReadError: the log holds more events of faults than are read.
+        """
         return [interval for interval in self._intervals if not is_fault(interval.what)]
 
     @cached_property
@@ -284,7 +307,7 @@ class Opening:
     """How a log is read: once, and topics again if they could not all be held."""
 
     path: Path  # as `log_path` takes it
-    topics: Iterable[str] | None = None  # patterns of those to keep; None: all
+    topics: Iterable[str] | None = None  # patterns of topics to keep; None: all
     share: OnProgress = lambda _: None  # called with the share of the file that was read
     exclude: Sequence[str] = ()  # patterns of topics not to keep
     progress: Callable[[float], None] = lambda _: None  # called with the simulated time reached [s]
@@ -299,7 +322,7 @@ class Opening:
         self.path = log_path(self.path)
         self.topics = [self.topics] if isinstance(self.topics, str) else self.topics and list(self.topics)
         self._topics: dict[str, Topic | None] = {}
-        self._held: list[Topic] = []  # those that were fetched, the oldest first
+        self._held: list[Topic] = []  # topics that were fetched, the oldest first
         self._seen: Counter[str] = Counter()
 
     def read(self) -> Log:
@@ -311,7 +334,7 @@ class Opening:
             if total is not None:
                 total.add_block(block, reader.topics_of(block))
             if plain and self.topics is None and log_size(self.path) > self.most_held:
-                self.hold_all = False  # it would be given up later
+                self.hold_all = False  # what is held now would be given up later
             take = self._count if plain and not self.hold_all else self._take
             take(reader, block)
             self.progress(int(block.log_ns[-1]) / 1e9)
@@ -356,7 +379,7 @@ class Opening:
         if any(fnmatchcase(name, pattern) for pattern in self.exclude):
             return None
         channel = reader.channel(name)
-        assert channel is not None  # the name is that of one
+        assert channel is not None  # the name is from the list of channels
         return Topic(name, channel, reader.schemas.get(channel.schema_id), self._fetch, self.most_held)
 
     def _of(self, reader: LogReader, block: Block) -> Iterator[tuple[str, Block]]:

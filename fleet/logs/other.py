@@ -5,15 +5,31 @@ from __future__ import annotations
 import atexit
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from fleet.addon import parts
 from fleet.errors import FleetError
 from netem.private_folder import PrivateFolder
 
-if TYPE_CHECKING:
-    from fleet.logs.recover import Recovered
+
+@dataclass(slots=True)
+class Recovered:
+    """The result of a recovery."""
+
+    path: Path
+    out: Path
+    messages: int = 0
+    until_s: float = 0.0
+    undeclared: int = 0  # messages on channels of which nothing is known any more
+    lost: str = ""  # what is gone, in words; "" if no message is
+    rebuilt: bool = False  # the index was missing
+    places: list[str] = field(default_factory=list)
+
+    @property
+    def nothing(self) -> bool:
+        return not self.messages
 
 
 class OtherData:
@@ -28,7 +44,14 @@ class OtherData:
     is_log: ClassVar[bool] = False
 
     def recognises(self, path: Path) -> bool:
-        """Whether a file or a directory is of this kind. It looks at as little as possible."""
+        """Look whether a file or a directory is of this kind, with as little reading as possible.
+
+        Args:
+            path: what the user named; it may not exist.
+
+        Returns:
+            Whether it is.
+        """
         raise NotImplementedError
 
     def write_mcap(self, path: Path, file: Path) -> None:
@@ -44,16 +67,45 @@ class OtherData:
         raise FleetError(f"{path} is {self.name}, and no log")
 
     def export(self, path: Path, folder: Path, form: str, *, force: bool) -> Path:
-        """Write it as one table, `form`: `csv`, `parquet` or `netcdf`; returns the file. Raises FleetError."""
+        """Write it as one table.
+
+        Args:
+            path: what the user named.
+            folder: where the table goes.
+            form: `csv`, `parquet` or `netcdf`.
+            force: replace what is there.
+
+        Returns:
+            The file.
+
+        Raises:
+            FleetError: there is no such form, or it cannot be written.
+        """
         raise FleetError(f"{path} is {self.name}, which cannot be written as {form}")
 
     def recover(self, path: Path, out: Path | None, on_progress: Callable[[float], None]) -> Recovered | None:
-        """Write what is left of it; None: it is recovered as a log is."""
+        """Write what is left of it.
+
+        Args:
+            path: what the user named.
+            out: the file to be written; None: a file beside it.
+            on_progress: called with the share that was read, 0 to 1.
+
+        Returns:
+            What was found; None: it is recovered as a log is.
+        """
         return None
 
 
 def known_as(path: Path) -> OtherData | None:
-    """What knows a file or a directory that a user has named; None: no add-on does."""
+    """What knows a file or a directory.
+
+    Args:
+        path: what the user named.
+
+    Returns:
+        The first kind that recognises it; None: no add-on does.
+    """
     for made in (each() for each in parts("readers")):
         with suppress(OSError):  # a name that is too long, a folder of others: the command itself tells it
             if made.recognises(path):
@@ -62,13 +114,30 @@ def known_as(path: Path) -> OtherData | None:
 
 
 def other_data(path: Path) -> OtherData | None:
-    """What knows something that is no log; None: it is a log, or no add-on knows it."""
+    """What knows something that is no log.
+
+    Args:
+        path: what the user named.
+
+    Returns:
+        Its kind; None: it is a log, or no add-on knows it.
+    """
     found = known_as(path)
     return None if found is None or found.is_log else found
 
 
 def as_mcap(path: Path) -> Path | None:
-    """The MCAP file that an add-on makes of what the core cannot read; None: no add-on can."""
+    """The MCAP file that an add-on makes of what the core cannot read.
+
+    Args:
+        path: what the user named.
+
+    Returns:
+        The file, which goes when the process ends; None: no add-on can make one.
+
+    Raises:
+        FleetError: it cannot be read.
+    """
     found = known_as(path)
     if found is None or not found.is_log:
         return None

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 from agents import compact, message, payload
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 
 if TYPE_CHECKING:
     from fleet.logs.topic import Topic

@@ -15,8 +15,9 @@ import yaml
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
+from fleet.logs.digest import Digest
 from fleet.logs.other import as_mcap
-from fleet.logs.records import MAGIC, Block, Digest, renumbered, together
+from fleet.logs.records import MAGIC, Block, renumbered, together
 from fleet.logs.salvage import Damage, Item, Salvage
 from netem.files import read_file
 from netem.limits import LOG_REST, SCENARIO
@@ -67,8 +68,8 @@ class LogReader:
     missing: str = ""  # why the file is not complete; "" if it is complete
     cut: bool = False  # the file is truncated: it stops within a record, or before its end was written
     damage: list[Damage] = field(default_factory=list)
-    file: Path = Path()  # that is being read, of a log of several
-    numbers: dict[Path, dict[int, int]] = field(default_factory=dict)  # of channels, by theirs in each file
+    file: Path = Path()  # the file that is being read, if the log has several
+    numbers: dict[Path, dict[int, int]] = field(default_factory=dict)  # of channels, by their numbers in a file
     _known: dict[tuple[Any, ...], int] = field(default_factory=dict, init=False)  # numbers of what was declared
     _kept: dict[tuple[type, int | str], int] = field(default_factory=dict, init=False)  # size of each [bytes]
     _total: int = field(default=0, init=False)  # sum of these sizes [bytes]
@@ -158,7 +159,7 @@ class LogReader:
         return item if item.id == numbers[item.id] else replace(item, id=numbers[item.id])
 
     def gathered(self, most: int) -> Iterator[Block]:
-        """The same, a few blocks as one, with at most so many bytes of data if each has fewer."""
+        """The blocks of `blocks`, a few as one: `most` bytes of data, if each has fewer."""
         some: list[Block] = []
         size = 0
         for block in self.blocks():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,61 +20,6 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Metadata, 
 from fleet.errors import FleetError
 from netem.limits import LOG_RECORD
 
-# --- digest
-# The digest of a log: SHA-256 over its ordered messages, whatever the chunks and the compression of the file.
-
-
-_TIMES = Struct("<QQII").pack
-_STAMP = np.dtype([("log", "<u8"), ("publish", "<u8"), ("sequence", "<u4"), ("length", "<u4")])  # the same, of many
-_MOST_PARTS = 3000  # of 1000 messages; hashing them in one piece costs less than one by one
-_MOST_BYTES = 64 * 1024  # of batches
-
-
-class Digest:
-    """Takes the messages of a log in their order."""
-
-    def __init__(self) -> None:
-        self._hash = hashlib.sha256()
-        self._parts: list[bytes] = []
-        self._held = 0  # bytes of batches among the parts
-
-    def add(self, topic: bytes, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """Take one message: `topic` in UTF-8, both times in ns of simulated time."""
-        parts = self._parts
-        parts += (topic, _TIMES(log_ns, publish_ns, sequence, len(data)), data)
-        if len(parts) >= _MOST_PARTS:
-            self._take()
-
-    def add_batch(self, digested: bytes) -> None:
-        """Take messages that are put together already: of each what `add` takes, in that order."""
-        self._parts.append(digested)
-        self._held += len(digested)
-        if self._held >= _MOST_BYTES:
-            self._take()
-
-    def add_block(self, block: Block, topics: Mapping[int, bytes]) -> None:
-        """Take the messages of a block; `topics` are the topics of its channels, in UTF-8."""
-        stamps = np.empty(len(block), _STAMP)
-        stamps["log"], stamps["publish"], stamps["sequence"] = block.log_ns, block.publish_ns, block.sequence
-        stamps["length"] = block.end - block.begin
-        packed, data, size = stamps.tobytes(), block.data, _STAMP.itemsize
-        parts = self._parts
-        columns = zip(block.channel.tolist(), block.begin.tolist(), block.end.tolist(), strict=True)
-        for at, (channel, begin, end) in zip(range(0, len(packed), size), columns, strict=True):
-            parts += (topics[channel], packed[at : at + size], data[begin:end])
-        self._take()
-
-    def hexdigest(self) -> str:
-        """The digest of all messages so far, in hexadecimal."""
-        self._take()
-        return self._hash.hexdigest()
-
-    def _take(self) -> None:
-        self._hash.update(b"".join(self._parts))
-        self._parts.clear()
-        self._held = 0
-
-
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "uuv-fleet"  # in the header of files that this program writes
 _SHORT = 1024  # bytes of payloads that are gathered by numpy
@@ -83,7 +27,7 @@ HEAD = Struct("<BQ")
 CHUNK = Struct("<QQQI")  # first and last time [ns], unpacked size, CRC
 MESSAGE = Struct("<HIQQ")
 U32, U64 = Struct("<I"), Struct("<Q")
-_LENGTH = Struct("<xQ")  # of a record, behind its opcode
+_LENGTH = Struct("<xQ")  # the length of a record stands behind its opcode
 _RECORD = np.dtype([
     ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
     ("publish_ns", "<u8"),
@@ -108,13 +52,13 @@ class Message(NamedTuple):
 class Block:
     """Messages that follow on one another in one chunk, or outside chunks, as arrays; times in ns."""
 
-    offset: int  # of the chunk, or of the first message outside chunks [byte of the file]
+    offset: int  # place of the chunk, or of the first message outside chunks [byte of the file]
     data: bytes  # in which they stand
     channel: Array
     sequence: Array
     log_ns: Array
     publish_ns: Array
-    begin: Array  # of each payload in `data`
+    begin: Array  # where each payload begins in `data`
     end: Array
 
     def __len__(self) -> int:

@@ -6,7 +6,7 @@ Its `gaps` are the numbers of the messages, from 0, that follow a gap.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
@@ -15,30 +15,13 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import McapWriter
+from fleet.logs.other import Recovered
 from fleet.logs.reader import GAPS, LOST, RECOVERY, OnProgress, log_files, log_path, lost, open_any
 from fleet.logs.records import LIBRARY, MAGIC, Block, Message
 from fleet.logs.salvage import ChunkEnd, Item, Salvage
-from netem.files import whole_file
+from netem.whole_file import whole_file
 
 _YEAR_1973_S = 1e8
-
-
-@dataclass(slots=True)
-class Recovered:
-    """The result of a recovery."""
-
-    path: Path
-    out: Path
-    messages: int = 0
-    until_s: float = 0.0
-    undeclared: int = 0  # messages on channels of which nothing is known any more
-    lost: str = ""  # what is gone, in words; "" if no message is
-    rebuilt: bool = False  # the index was missing
-    places: list[str] = field(default_factory=list)
-
-    @property
-    def nothing(self) -> bool:
-        return not self.messages
 
 
 def recover(path: Path, out: Path | None = None, on_progress: OnProgress = lambda _: None) -> Recovered:

@@ -24,8 +24,8 @@ from world.signal import Signal
 PACKAGE = "uuv_fleet"
 CLOCK = "clock"  # key in metadata `run`, where the run was not in lockstep, and so is not repeatable
 START = "start.json"  # the attachment of a log that holds where its run began, if that went on from another
-OLD_START = "start.msgpack"  # the same of a log with snapshots, as versions before wrote it
-SNAPSHOTS = "snapshot"  # topic of such logs, which nobody reads any more
+OLD_START = "start.msgpack"  # START in a log with snapshots, as versions before wrote it
+SNAPSHOTS = "snapshot"  # a topic of logs with snapshots, which no command reads any more
 FROM, FROM_TICK = "from", "from tick"  # what the metadata of a run say that goes on from another
 DOUBLE = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
 UINT32 = descriptor_pb2.FieldDescriptorProto.TYPE_UINT32
@@ -109,7 +109,7 @@ _OURS |= {"Packet": PACKET, "RangedPacket": RANGED, "CarriedPacket": CARRIED}
 OURS = {f"{PACKAGE}.{name}": columns for name, columns in _OURS.items()}
 
 
-@lru_cache(maxsize=256)  # vehicles that run the same share it
+@lru_cache(maxsize=256)  # vehicles with the same laws share one
 def flat_schema(name: str, columns: tuple[MessageField, ...]) -> Schema:
     """A schema of our own; dots in the name put it into packages below ours."""
     below, _, name = name.rpartition(".")

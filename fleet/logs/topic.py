@@ -89,7 +89,13 @@ class Topic:
         self.fetch = _refuse
 
     def count(self, messages: int, size: int, last_ns: int) -> None:
-        """Count messages of so many bytes; `last_ns` is the latest log time of one [ns]."""
+        """Count messages that are not held.
+
+        Args:
+            messages: their number.
+            size: bytes of all of them.
+            last_ns: the latest log time of one [ns].
+        """
         self._count += messages
         self.size += size
         self.last_ns = max(self.last_ns, last_ns)
@@ -109,7 +115,10 @@ class Topic:
         return len(self._data) + 28 * len(self._numbers) + self._cost
 
     def compact(self, most: int = 0) -> None:
-        """Decode what is held as bytes, if that is at least `most` bytes: columns take less memory.
+        """Decode what is held as bytes, because columns take less memory.
+
+        Args:
+            most: bytes; if less is held, nothing is decoded yet.
 
         Raises:
             LogReadError: they cannot be decoded.
@@ -135,6 +144,7 @@ class Topic:
 
     def thin(self, buckets: int) -> None:
         """Keep of each of `buckets` spans of time the first and the last sample, and the extremes of each column."""
+        # True samples, never means: so a picture shows a peak of one tick.
         self.compact()
         columns = joined(self._parts)
         log_ns = np.array(self._log_ns, np.int64)
@@ -176,7 +186,13 @@ class Topic:
         return f"<{self.name}: {len(self)} samples of {shown}>"
 
     def __getitem__(self, field: str) -> Array:
-        """The samples of a field, (samples,) or (samples, width).
+        """The samples of a field.
+
+        Args:
+            field: its name, such as `psi`.
+
+        Returns:
+            An array (samples,), or (samples, width) of a vector, in the unit that `units` states.
 
         Raises:
             LogKeyError: the topic has no such field; a `KeyError` as well.
@@ -244,7 +260,14 @@ class Topic:
             self.fetch(self)
 
     def declaration(self, field: str) -> tuple[str, str]:
-        """(unit, meaning) of a field as the log states them; "" where it states none."""
+        """Unit and meaning of a field as the log states them.
+
+        Args:
+            field: its name.
+
+        Returns:
+            Two texts; "" where the log states none.
+        """
         return self._declarations.get(field, ("", ""))
 
     def columnizer(self) -> Columnizer:

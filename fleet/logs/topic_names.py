@@ -1,60 +1,14 @@
-"""Topics with numbers in their names: `link/1-2` has the packets from vehicle 1 to vehicle 2."""
+"""The names of topics with numbers in them, such as `link/1-2`, and of the signals that a log has."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
-from datetime import UTC, datetime
 from pathlib import Path
 
 from fleet.logs.reader import LogReader, log_path
 from fleet.scenario.sections.signals import GROUPS
 from netem.condition import Link
-
-# --- run name: that of its directory, and when it began, which only that name says
-
-
-STAMP = "%Y%m%d-%H%M%S"  # in the names of run directories, UTC
-RUN_NAME = re.compile(r"(?P<scenario>.+)-(?P<seed>\d+)-(?P<began>\d{8}-\d{6})(-\d+)?", re.ASCII)
-
-
-def run_name(log: Path) -> str:
-    """The name of the run directory, links such as `latest` resolved, or of a log that is not called run.mcap."""
-    path = Path(os.path.realpath(log))
-    return path.parent.name if path.name == "run.mcap" else path.stem
-
-
-def begun_at(name: str) -> datetime | None:
-    """When the run of a name began, in UTC; None: the name does not say it, because somebody gave it another one."""
-    found = RUN_NAME.fullmatch(name)
-    try:
-        return None if found is None else datetime.strptime(found["began"], STAMP).replace(tzinfo=UTC)
-    except ValueError:  # no day has this number
-        return None
-
-
-# --- signal names: the names of the signals of a log, without reading all of it
-
-
-def signal_names(path: Path) -> list[str]:
-    """Every signal of a vehicle as its channels declare it: `control.leads`; read from the beginning of the file.
-    Raises LogReadError if there is no log to read.
-    """
-    reader = LogReader(log_path(path))
-    next(iter(reader.blocks()), None)
-    found: dict[str, None] = {}
-    for channel in reader.channels.values():
-        group = re.fullmatch(r"uuv/\d+/(\w+)", channel.topic)
-        if group is None or group[1] not in GROUPS:
-            continue
-        try:
-            fields = list(json.loads(channel.metadata["units"]))
-        except (KeyError, ValueError, TypeError):  # a channel that is not ours
-            continue
-        found |= {f"{group[1]}.{field}": None for field in fields if isinstance(field, str)}
-    return sorted(found)
-
 
 _LINK = re.compile(r"link/(\d{1,9})-(\d{1,9})", re.ASCII)
 _BELIEVER = re.compile(r"uuv/(\d{1,9})/(belief|located)", re.ASCII)
@@ -75,3 +29,22 @@ def believer_of(topic: str) -> tuple[int, str] | None:
     """The vehicle that holds the beliefs in a topic, and `belief` or `located`; None: it is another topic."""
     found = _BELIEVER.fullmatch(topic)
     return None if found is None else (int(found[1]), found[2])
+
+
+def signal_names(path: Path) -> list[str]:
+    """Every signal of a vehicle as its channels declare it: `control.leads`; read from the beginning of the file.
+    Raises LogReadError if there is no log to read.
+    """
+    reader = LogReader(log_path(path))
+    next(iter(reader.blocks()), None)
+    found: dict[str, None] = {}
+    for channel in reader.channels.values():
+        group = re.fullmatch(r"uuv/\d+/(\w+)", channel.topic)
+        if group is None or group[1] not in GROUPS:
+            continue
+        try:
+            fields = list(json.loads(channel.metadata["units"]))
+        except (KeyError, ValueError, TypeError):  # a channel that is not ours
+            continue
+        found |= {f"{group[1]}.{field}": None for field in fields if isinstance(field, str)}
+    return sorted(found)

@@ -46,4 +46,6 @@ def without_main() -> Iterator[None]:
 
 def children_ignore_the_folder() -> None:
     """Python processes that start from now on do not import a `socket.py` in the current directory for Python's."""
+    # multiprocessing starts its fork server with `python -c`, which looks for every module in the current directory
+    # first.
     os.environ["PYTHONSAFEPATH"] = "1"

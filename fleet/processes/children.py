@@ -1,4 +1,8 @@
-"""The processes of a run: started by one preloaded fork server, watched, and ended with the console."""
+"""The processes of a run: started by one preloaded fork server, watched, and ended with the console.
+
+The fork server of multiprocessing imports everything once, so a child costs milliseconds and shares pages. Every wait
+for it is bounded, because a suspended one reports nothing.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,8 @@ import multiprocessing
 import multiprocessing.forkserver
 import multiprocessing.process
 import os
-import re
 import signal
 import sys
-import tempfile
 import threading
 import time
 import traceback
@@ -19,7 +21,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
-from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -29,77 +30,11 @@ from fleet.errors import RunBroken
 from fleet.processes.child_start import CONSOLE_PID_VARIABLE, children_ignore_the_folder, die_with_parent, without_main
 from fleet.processes.interrupts import deferring_interrupts, out_of_reach
 from fleet.processes.limits import allow_most_open_files, start_thread
+from fleet.processes.run_folder import own_folder_for_multiprocessing
 from netem.errors import BusError
-from netem.private_folder import PREFIX, SHORT, PrivateFolder
-
-# --- run folder
-# Private folders with a short path, because they hold sockets: that of a run's router, and multiprocessing's.
-#
-# A port on loopback is open to every user of the host. Another user could keep processes of the run out by holding
-# connections without logging in, or could take the port first and play the router.
-
-
-_ROUTER = "router"
-_MOST_PATH = 107  # bytes that the system takes as the path of a socket
-_LONGEST_NAME = f"{PREFIX}processes-12345678/listener-12345678"
-_PLAIN = re.compile(r"[\w./+-]+", re.ASCII)  # zenoh gives other characters in an endpoint a meaning
-
-
-class RunFolder(PrivateFolder):
-    """The folder of one run, from its beginning to its end."""
-
-    def __init__(self) -> None:
-        """Make the folder. Raises RunBroken: no folder can be made for it."""
-        place = _place()
-        try:
-            super().__init__(place=place)
-        except OSError as error:
-            raise RunBroken(
-                f"cannot make a folder in {place}: {error.strerror}; set TMPDIR to another place"
-            ) from error
-
-    @property
-    def endpoint(self) -> str:
-        return f"unixsock-stream/{self.path / _ROUTER}"
-
-
-def own_folder_for_multiprocessing() -> None:
-    """Let multiprocessing put its sockets into a private folder of this process: its own (`pymp-...`) would stay after
-    a SIGKILL, and its socket cannot be made where TMPDIR is long.
-    """
-    settings = multiprocessing.process.current_process()._config  # type: ignore[attr-defined]
-    if settings.get("tempdir") is None:
-        try:
-            folder = PrivateFolder("processes", _place())
-        except (OSError, RunBroken):  # then its own, which fails with a reason of its own
-            return
-        settings["tempdir"] = str(folder.path)
-        close_at_end(folder)
-
-
-def close_at_end(folder: PrivateFolder) -> None:
-    """Close a folder at the end of this process, and of no process that is forked from it."""
-    Finalize(None, _close, args=(folder, os.getpid()), exitpriority=-100)  # behind all that uses it
-
-
-def _close(folder: PrivateFolder, owner: int) -> None:
-    if os.getpid() == owner:
-        folder.close()
-
-
-def _place() -> Path:
-    places = dict.fromkeys((tempfile.gettempdir(), SHORT))
-    for place in places:
-        if _PLAIN.fullmatch(place) and len(f"{place}/{_LONGEST_NAME}") <= _MOST_PATH:
-            return Path(place)
-    raise RunBroken(
-        f"there is no folder for the run's socket: {' and '.join(places)} cannot be used. The path is too long, or "
-        f"has characters other than letters, digits and . / + - _; set TMPDIR to another folder"
-    )
-
 
 GRACE_S = 1.0
-START_S = 20.0  # for the fork server, which imports everything first, on a busy machine
+START_S = 20.0  # the fork server imports everything first, and the machine may be busy
 FORKSERVER_LOST = 255  # multiprocessing's exit code for a child whose forkserver is gone
 TAIL_LINES = 12
 
@@ -160,14 +95,14 @@ class Children:
         # A process that is there is known, and so will be ended, before an interrupt is raised. The block alone does
         # not see to that: another thread may take the signal, and then Python raises in this one.
         with deferring_interrupts():
-            # Else multiprocessing would start another one, and nobody would learn how this one ended.
+            # multiprocessing would start another fork server, and how this one ended would stay unknown.
             if self._forkserver is not None and (death := forkserver_death()) is not None:
                 raise ChildProcessError(death)
             with _forkserver_starting(), _bounded_wait():
                 process.start()
             self.by_role[role] = Child(role, process, log_path)
             started_by = _forkserver_pid()
-            if self._forkserver not in (None, started_by):  # it ended in between
+            if self._forkserver not in (None, started_by):  # the fork server ended in between
                 raise ChildProcessError(f"the fork server (pid {self._forkserver}) is gone")
             self._forkserver = started_by
 
@@ -211,7 +146,7 @@ class Children:
 
 def start_forkserver() -> None:
     """Start the fork server, which imports what all processes need while its caller does something else, and ends with
-    this process. `Children.start` does so, too, if nobody did before; it must be called on the same thread, the main
+    this process. `Children.start` does so, too, if no caller did before; it must be called on the same thread, the main
     one. Raises OSError if there is no room for another process.
     """
     allow_most_open_files()  # how many vehicles there will be is not known yet
@@ -243,7 +178,7 @@ def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
 
 @contextlib.contextmanager
 def _named_console() -> Iterator[None]:
-    # For the fork server alone: any other process with this variable would expect to be our child, and end at once.
+    # The fork server alone gets this variable: any other process with it would expect to be our child, and end at once.
     os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
     try:
         yield
@@ -350,7 +285,7 @@ def _child(title: str, log_path: str, target: Callable[..., None], args: tuple[A
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         descriptor = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    except FileNotFoundError:  # its directory was removed: the run was ended before this process had begun
+    except FileNotFoundError:  # the run's directory was removed: the run was ended before this process had begun
         os._exit(1)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)

@@ -1,6 +1,7 @@
 """The signals that end a command: SIGINT (Ctrl-C), SIGTERM, and SIGHUP when its terminal closes.
 
-They can be deferred, because an exception in the middle of a write would leave half a record in a file.
+They can be deferred, because an exception in the middle of a write would leave half a record in a file. Children have
+SIGHUP blocked like SIGINT: a shell sends it to the whole group, and a world that dies of it would cut the log.
 """
 
 from __future__ import annotations

@@ -4,34 +4,13 @@ from __future__ import annotations
 
 import os
 import resource
-import secrets
 import threading
 
 from fleet.errors import RunBroken
-from netem.wire.listening import probe_address
-
-# --- ports: free loopback ports
-
-
-def free_port(wanted: int | None) -> int:
-    """A loopback port that is free now: the wanted one, or any. Another process may take it before the world does; to
-    make that rare, the search begins below the range of outgoing connections. Raises RunBroken if the wanted port is
-    taken.
-    """
-    problem = ""
-    for port in [wanted] if wanted else [secrets.randbelow(22_000) + 10_000 for _ in range(100)]:
-        try:
-            probe_address("127.0.0.1", port)
-        except OSError as error:
-            problem = f"port {port} on 127.0.0.1 cannot be used ({error.strerror})"
-        else:
-            return port
-    raise RunBroken(f"{problem}; choose another with --port, or leave it out for a free one")
-
 
 # Measured: the console holds 16 and two per agent, the world 14 and one per agent; more while they start.
 FILES, FILES_PER_VEHICLE = 48, 2
-FILES_PER_WORKER = 3  # its pipe, and two of multiprocessing
+FILES_PER_WORKER = 3  # the pipe of a worker, and two files of multiprocessing
 MOST_VEHICLES = 1000
 NO_THREAD = "can't start new thread"  # what Python says, also in a callback of zenoh or in the log of a process
 
@@ -55,7 +34,7 @@ def allow_open_files(vehicles: int, others: int = 0) -> None:
 
 
 def allow_workers(count: int) -> None:
-    """Raise the soft limit as far as so many worker processes need it; each of them inherits it. Raises RunBroken if
+    """Raise the soft limit as far as `count` worker processes need it; each inherits it. Raises RunBroken if
     the hard limit is too low.
     """
     needed = len(os.listdir("/proc/self/fd")) + FILES + FILES_PER_WORKER * count
@@ -68,7 +47,7 @@ def allow_workers(count: int) -> None:
 
 
 def _raise_to(wanted: int) -> int:
-    """Raise the soft limit to so many files, or to the hard limit if that is lower; returns how many may be open."""
+    """Raise the soft limit to `wanted` files, or to the hard limit if that is lower; returns how many may be open."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
         return wanted

@@ -19,7 +19,7 @@ def begin(module: str, *arguments: str, **settings: Any) -> subprocess.Popen[byt
 
 
 def end(process: subprocess.Popen[bytes], limit_s: float) -> None:
-    """Wait so long for the end of a process, and then kill it."""
+    """Wait for the end of a process for this time, and then kill it."""
     try:
         process.wait(limit_s)
     except subprocess.TimeoutExpired:

@@ -27,7 +27,7 @@ from fleet.protocols.received import is_count, is_real, received
 NAIVE, EXACT = "average/naive", "average/exact"  # kinds of messages
 MOST = 1e6  # degC: what is larger is no measurement
 _MOST_SUM = 1e15  # a sum of shares, of value or of weight
-_LEAST_WEIGHT = 1e-6  # with less the estimate stays as it is
+_LEAST_WEIGHT = 1e-6  # with a smaller weight the estimate stays as it is
 _MOST_DEGREE = 1000
 _MEASURED = Signal("measured", "degC", "temperature that it measured once")
 _AVERAGE = Signal("average", "degC", "its estimate of the mean of what all measured")
@@ -77,7 +77,7 @@ class _Link:
     opened: int  # tick; the sums begin there at 0
     heard: int = -1  # tick at which the newest message was sent; -1: none, or silent for too long
     mutual: bool = False  # whether the neighbour says that it hears this vehicle
-    degree: int = 0  # of the neighbour
+    degree: int = 0  # degree of the neighbour
     gave_value: float = 0.0  # sum of all shares for the neighbour
     gave_weight: float = 0.0
     took_value: float = 0.0  # the neighbour's sum, as far as it is known
@@ -190,7 +190,7 @@ class ExactAverage:
             and all(isinstance(each, list) and len(each) == 5 for each in sums)
             and all(
                 type(j) is int
-                and is_count(opened, delivery.sent_tick + self._forget_ticks)  # by either end's clock
+                and is_count(opened, delivery.sent_tick + self._forget_ticks)  # a time by the clock of either end
                 and isinstance(hears, bool)
                 and is_real(value, _MOST_SUM)
                 and is_real(weight, _MOST_SUM)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 NOBODY = 0
 
-Score = Callable[[Sequence[int]], float]  # of a path, which may hold any tasks
+Score = Callable[[Sequence[int]], float]  # the score of a path, which may hold any tasks
 
 
 class News(NamedTuple):

@@ -101,7 +101,7 @@ class BundleAuction:
         if self._plan is None:
             self._plan = nav.tick * self._tick_s, position
             news = True
-        if news:  # without it the same would be chosen
+        if news:  # without news the choice would be the same
             self._bidder.choose(self._score, frozenset(self._done))
         target = self._bidder.path[0] if self._bidder.path else None
         tau, _ = self._formation.decide(nav, deliveries, course=self._course(nav, position, target))

@@ -6,12 +6,9 @@ from math import dist, inf
 from typing import Any, Literal
 
 from fleet.checks.api import Facts, Failure, Margin, NotJudged, Tick, Vehicle, seconds
-from fleet.checks.sides import Sides
+from fleet.checks.sides import ReachableGroups
 from fleet.protocols.bidder import rounds_needed
 from fleet.protocols.bundle_auction import places_of
-
-# --- auction checks
-# Checks on what the auction of places promises.
 
 
 class NoConflict:
@@ -24,9 +21,9 @@ class NoConflict:
         rounds = rounds_needed(count, facts.vehicles, bundle, _diameter(facts))
         self._within = (rounds + 1) * seconds(round)  # one more: what is decided waits for the next round
         self._count = count
-        self._since: dict[int, float] = {}  # by place
+        self._since: dict[int, float] = {}  # since when each place has had a conflict [s]
         self._longest = 0.0
-        self._at = facts.begin  # when it was so long [s]
+        self._at = facts.begin  # when the longest conflict was so long [s]
 
     def step(self, tick: Tick) -> Failure | None:
         """Look who claims what."""
@@ -122,7 +119,7 @@ class TrueMean:
         """`below`: the greatest error of an average [degC]. `within`: the time allowed after the start, and after every
         change of the sides."""
         self._below, self._within = below, seconds(within)
-        self._sides = Sides(facts)
+        self._sides = ReachableGroups(facts)
         self._found = ""
         self._worst: tuple[float, float] | None = None  # by how much an average was off [degC], when [s]
 
@@ -178,11 +175,11 @@ class AtMostOneLeader:
         if per not in ("fleet", "side"):
             raise ValueError(f"per: expected fleet or side, got {per!r:.40}")
         self._per_side, self._grace = per == "side", seconds(grace)
-        self._sides = Sides(facts)
+        self._sides = ReachableGroups(facts)
         self._until: dict[int, float] = {}  # true time [s] until which a vehicle leads, as it reported last
         self._most = 0
         self._tick_s = facts.tick
-        self._led: dict[tuple[int, ...], tuple[int, float]] = {}  # of each side the last leader, and when it led [s]
+        self._led: dict[tuple[int, ...], tuple[int, float]] = {}  # the last leader of each side, and when it led [s]
         self._gap = facts.duration - facts.begin, facts.begin  # the shortest between two leaders [s], and when
 
     def step(self, tick: Tick) -> Failure | None:
@@ -240,9 +237,9 @@ class AgreeAfterHeal:
             raise ValueError(f"quorum: expected fleet or side, got {quorum!r:.40}")
         self._within, self._of_fleet = seconds(within), quorum == "fleet"
         self._vehicles = facts.vehicles
-        self._sides = Sides(facts)
+        self._sides = ReachableGroups(facts)
         self._agreed_since: float | None = None  # the change [s] after which they have agreed; None: they do not
-        self._longest = 0.0  # from a change to the agreement [s]
+        self._longest = 0.0  # the longest time from a change to the agreement [s]
         self._waited = 0.0, facts.begin  # the longest time after a change without agreement [s], and until when
 
     def step(self, tick: Tick) -> Failure | None:
@@ -287,7 +284,7 @@ def _ahead(vehicle: Vehicle) -> float:
     """By how much the clock of a vehicle is ahead [s]."""
     try:
         return vehicle["clock.error"] or 0.0
-    except LookupError:  # no clock is set
+    except LookupError:  # the scenario sets no clock
         return 0.0
 
 

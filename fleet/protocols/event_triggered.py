@@ -1,4 +1,4 @@
-"""Formation keeping that talks only when it has news (Dimarogonas, Frazzoli, Johansson 2012).
+"""Formation keeping that talks only when its state has changed enough (Dimarogonas, Frazzoli, Johansson 2012).
 
 Every neighbour extrapolates the state that it heard last. So the sender knows what they believe if that state arrived,
 and says nothing as long as this is near enough to the truth. After each round, who has received what was sent believes

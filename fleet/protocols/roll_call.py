@@ -53,7 +53,7 @@ class RollCall:
         self._tick_s = config.tick_ns / 1e9
         self._least = round(phase_s * 1e9 / config.tick_ns)  # ticks
         self._since = -1  # tick at which its phase began; -1: not begun
-        self._phases = {self._id: 0}  # by vehicle, the largest that is known
+        self._phases = {self._id: 0}  # the largest phase that is known of each vehicle
         self._refused = 0
 
     def transmit(self, nav: Nav) -> list[bytes]:

@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.scenario import Scenario
+from netem.cause import Cause
 from netem.condition import Link
-from netem.fault_kinds import Cause
 from netem.wire.messages import Fate
 
 
@@ -51,7 +51,7 @@ class Connectivity:
         self._order: deque[tuple[int, Link]] = deque()  # (tick, link) of deliveries within the window
         self._now = 0  # tick whose fates are coming in
         self._changed = True  # since the last look
-        self._outage: Outage | None = None  # that goes on
+        self._outage: Outage | None = None  # the outage that goes on
         self.first: Outage | None = None
         self.outages = 0
         self.ticks = 0  # windows that were not connected

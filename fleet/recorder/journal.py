@@ -67,14 +67,14 @@ class Journal:
         self.ages = Ages(scenario.graph.links, from_first_packet=bool(scenario.nodes))
         self.separation = Separation.asked(scenario)
         self.connectivity = Connectivity.asked(scenario)
-        self.happened: list[Event] = []  # those of the events that are written
+        self.happened: list[Event] = []  # events that are written already
         self.begin = 0  # the tick at which the run begins; another one if it goes on from another run
         self.written = -1  # complete in the log up to this tick
         self.framed = -1
         self.reported = -1
         self.closed = False
         self._last = scenario.ticks
-        # Of robots that are not ours nothing is measured.
+        # Robots that are not ours are not measured.
         still = VehicleError((0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), 0.0)
         self._unmeasured = dict.fromkeys(range(1, scenario.vehicles + 1), still) if scenario.nodes else None
         self._events = deque(scenario.faults.events)
@@ -82,14 +82,14 @@ class Journal:
         self.active: list[str] = []  # faults that last, in the order in which they began
         self._names = {event.fault for event in self._events}  # ids of faults that are taken
         self.deaths: dict[int, Event] = {}  # vehicle -> a death that was not planned, while it lasts
-        self.died: list[Event] = []  # all of them, and vehicles that diverged, in the order in which they came
+        self.died: list[Event] = []  # deaths that were not planned and divergences, as they came
         self.diverged: dict[int, Event] = {}  # vehicle -> that its motion left the finite numbers
         self.tumbled: dict[int, Event] = {}  # vehicle -> that it tumbled, while it lasts
-        self.tumbles: list[Spell] = []  # all of them, in the order in which they began
+        self.tumbles: list[Spell] = []  # every tumble, in the order of their beginnings
         self._frame_every = frame_every(scenario)
         self._round_ticks = scenario.round_ticks
         self._frames: deque[Frame] = deque()
-        self._parts: list[Frame] = []  # of a frame whose rest is still to come
+        self._parts: list[Frame] = []  # parts of a frame whose rest is still to come
         self._fates: deque[Fate] = deque()
 
     def take_over(
@@ -209,7 +209,7 @@ class Journal:
                 self.add_event(replace(self.deaths.pop(i), tick=life.tick, action="ends"))
             elif not life.begins and life.tick < self._last and (i, life.tick) not in self._planned_deaths:
                 if life.diverged:
-                    # It comes again when the scenario is run again: it was not injected.
+                    # This event was not injected, so it comes again when the scenario is run again.
                     self.add_event(self._diverges(i, life.tick))
                     continue
                 self.deaths[i] = Event(life.tick, self._name(f"death-{i}"), "begins", f"kill {i}")
@@ -288,24 +288,3 @@ def _command(data: bytes) -> Command:
     command = decode(data)
     assert isinstance(command, Command)  # the world checked it before it went into the frame
     return command
-
-
-# --- watched: a run that is recorded and watched: what the journal writes is also shown to somebody who measures
-
-
-class Watcher(Protocol):
-    """Sees every frame, with its decoded commands and errors by vehicle."""
-
-    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None: ...
-
-
-class WatchedLog:
-    """A sink of the journal that passes everything on."""
-
-    def __init__(self, log: JournalSink, watcher: Watcher) -> None:
-        self._log, self._watcher = log, watcher
-        self.packet, self.event = log.packet, log.event
-
-    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        self._log.frame(frame, commands, errors)
-        self._watcher.frame(frame, commands, errors)

@@ -1,4 +1,4 @@
-"""The MCAP file of a run, and the digest over its ordered messages."""
+"""The MCAP file of a run and the digest over its ordered messages; with `log: none` there is only the digest."""
 
 from __future__ import annotations
 
@@ -10,83 +10,13 @@ from typing import IO
 from mcap.records import Attachment
 
 from fleet.errors import FleetError
-from fleet.logs.mcap_writer import Batch, McapWriter
-from fleet.logs.records import Digest
+from fleet.logs.batch import Batch
+from fleet.logs.digest import Digest
+from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.schemas import Schema
 from fleet.recorder.metrics import VehicleError
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame
-
-# --- no log: the stand-in for a log in a run with `log: none`: it computes the digest, and writes nothing
-
-
-class NoLog:
-    """Takes the messages of a log as `LogFile` does, and counts and digests them. Its memory does not grow."""
-
-    size = 0  # bytes
-
-    def __init__(self) -> None:
-        self.messages = 0
-        self._digest = Digest()
-        self._topics: list[bytes] = []
-
-    @property
-    def digest(self) -> str:
-        """The digest that a log would have: see `LogFile`."""
-        return self._digest.hexdigest()
-
-    def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Nothing to do: the digest is of messages."""
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Nothing to do: the digest is of messages."""
-
-    def channel(self, topic: str, schema: Schema) -> int:
-        self._topics.append(topic.encode())
-        return len(self._topics) - 1
-
-    def other_channel(
-        self, topic: str, encoding: str, schema: tuple[str, str, bytes] | None, metadata: Mapping[str, str]
-    ) -> int:
-        self._topics.append(topic.encode())
-        return len(self._topics) - 1
-
-    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
-        """Count and digest a message; both times in ns of simulated time."""
-        self._digest.add(self._topics[channel], log_ns, publish_ns, sequence, data)
-        self.messages += 1
-
-    def batch(self, batch: Batch) -> None:
-        """Count and digest messages that have their times in common."""
-        self._digest.add_batch(batch.digested.tobytes())
-        self.messages += len(batch.channels)
-
-    def flush(self, at_ns: int) -> None:
-        """Nothing to do."""
-
-    def close(self) -> None:
-        """Nothing to do."""
-
-    def abandon(self) -> None:
-        """Nothing to do."""
-
-
-class NoDigest(NoLog):
-    """No log and no digest, for a run of which only the verdicts count: a digest takes as long as the messages of a
-    log. The journal writes to it in place of a `LogWriter`.
-    """
-
-    digest = ""
-
-    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
-        """Nothing to do."""
-
-    def packet(self, fate: Fate) -> None:
-        """Nothing to do."""
-
-    def event(self, event: Event) -> None:
-        """Nothing to do."""
-
 
 SECOND_NS = 1_000_000_000
 
@@ -205,3 +135,71 @@ class LogFile:
 
     def _error(self, error: OSError) -> LogError:
         return LogError(f"cannot write the log {self.path}: {error.strerror or error}")
+
+
+class NoLog:
+    """Takes the messages of a log as `LogFile` does, and counts and digests them. Its memory does not grow."""
+
+    size = 0  # bytes
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self._digest = Digest()
+        self._topics: list[bytes] = []
+
+    @property
+    def digest(self) -> str:
+        """The digest that a log would have: see `LogFile`."""
+        return self._digest.hexdigest()
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Nothing to do: the digest is of messages."""
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Nothing to do: the digest is of messages."""
+
+    def channel(self, topic: str, schema: Schema) -> int:
+        self._topics.append(topic.encode())
+        return len(self._topics) - 1
+
+    def other_channel(
+        self, topic: str, encoding: str, schema: tuple[str, str, bytes] | None, metadata: Mapping[str, str]
+    ) -> int:
+        self._topics.append(topic.encode())
+        return len(self._topics) - 1
+
+    def message(self, channel: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        """Count and digest a message; both times in ns of simulated time."""
+        self._digest.add(self._topics[channel], log_ns, publish_ns, sequence, data)
+        self.messages += 1
+
+    def batch(self, batch: Batch) -> None:
+        """Count and digest messages that have their times in common."""
+        self._digest.add_batch(batch.digested.tobytes())
+        self.messages += len(batch.channels)
+
+    def flush(self, at_ns: int) -> None:
+        """Nothing to do."""
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+    def abandon(self) -> None:
+        """Nothing to do."""
+
+
+class NoDigest(NoLog):
+    """No log and no digest, for a run of which only the verdicts count: a digest takes as long as the messages of a
+    log. The journal writes to it in place of a `LogWriter`.
+    """
+
+    digest = ""
+
+    def frame(self, frame: Frame, commands: Mapping[int, Command], errors: Mapping[int, VehicleError]) -> None:
+        """Nothing to do."""
+
+    def packet(self, fate: Fate) -> None:
+        """Nothing to do."""
+
+    def event(self, event: Event) -> None:
+        """Nothing to do."""

@@ -17,12 +17,12 @@ from math import hypot, inf, isfinite, sqrt
 from statistics import median
 from typing import NamedTuple
 
-from agents.config import Offset
+from agents.offset import Offset
 from agents.signals import SignalLayout
-from fleet.recorder.agent_reports import AgentProtocol
 from fleet.recorder.settling import below_from, least_s, settling_time, stayed
-from fleet.result.result import Formation, VehicleResult
+from fleet.result.result import Formation, SignalValue, VehicleResult
 from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.sections.signal_checks import checked_signals
 from netem.wire.messages import Command, Frame
 from world.vectors import Vec3, plus
 
@@ -35,7 +35,7 @@ class Settled(NamedTuple):
     """When an error settled within a span of time, and what is reported if it did not."""
 
     at_s: float | None  # None: it did not, or too late to be judged
-    vehicle: int  # the last to settle, or of those that did not the farthest off; 0: the span has no frame
+    vehicle: int  # the last to settle, else the farthest off that did not; 0: the span has no frame
     off_m: float  # that vehicle's error in the last frame of the span
     least_s: float  # how long it had to stay
 
@@ -95,7 +95,7 @@ class Metrics:
         self._protocols = {i: AgentProtocol.of(scenario, i) for i in range(1, scenario.vehicles + 1)}
         # Who reported before the last round and the last frames reports no more.
         self._silent_ticks = max(scenario.round_ticks, frame_every(scenario))
-        self._tick = 0  # of the last frame
+        self._tick = 0  # tick of the last frame
         self.times = array("d")
         self.series = {i: Series() for i in range(1, scenario.vehicles + 1)}
         self._vehicles = {
@@ -271,3 +271,38 @@ def _take(series: Series, places: _Places, telemetry: tuple[float, ...]) -> None
 def _count(value: float, before: int) -> int:
     # Telemetry comes from the agent; an external agent may send any double.
     return int(value) if isfinite(value) else before
+
+
+class _Reported(NamedTuple):
+    name: str
+    unit: str
+    place: int  # in the telemetry
+
+
+class AgentProtocol(NamedTuple):
+    """The whole agent of one vehicle, and what it reports; without a name it has the laws of a controller instead."""
+
+    law: str
+    signals: tuple[_Reported, ...]  # signals that a check of the scenario names come first
+
+    @classmethod
+    def of(cls, scenario: Scenario, vehicle: int) -> AgentProtocol:
+        agent = scenario.agent_config(vehicle).agent
+        if agent is None:
+            return cls("", ())
+        judged = {signal.name for signal in checked_signals(scenario.spec.checks)}
+        known = [
+            (f"{group}.{signal.name}", _Reported(signal.name, signal.unit, place.start))
+            for group, signal, place in scenario.layout(vehicle).signals()
+            if signal.width == 1
+        ]
+        named = [signal for name, signal in known if name in judged]
+        others = [signal for name, signal in known if name not in judged]
+        return cls(agent.name, (*named, *others))
+
+    def values(self, telemetry: tuple[float, ...]) -> dict[str, SignalValue]:
+        """The last report of the vehicle, by name; empty: it reports no more."""
+        return {
+            name: SignalValue(telemetry[place] if isfinite(telemetry[place]) else None, unit)
+            for name, unit, place in (self.signals if telemetry else ())
+        }

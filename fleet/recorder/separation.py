@@ -35,7 +35,7 @@ class Separation:
         self._wanted = frozenset(vehicles)
         self._i, self._j = np.triu_indices(len(vehicles), 1)
         self._most = max(1, _AT_ONCE // max(1, len(self._i)))
-        self._ticks, self._places = array("q"), array("d")  # of frames that are still to be looked at
+        self._ticks, self._places = array("q"), array("d")  # frames that are still to be looked at
         self._least: Nearest | None = None
 
     @classmethod

@@ -20,7 +20,7 @@ class Leg(NamedTuple):
 
     scenario: Scenario
     until: int  # tick
-    salt: int = 0  # changes the draws of world and network; 0: those of every run with this seed
+    salt: int = 0  # changes the draws of world and network; 0: the draws of every run with this seed
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,9 @@ A tick of four vehicles has 28 of them, of a hundred vehicles 700. They differ f
 alone. So the numbers of all vehicles go into one pool of bytes. The pool already contains everything else: tags,
 lengths, channels, topics. A layout says where in the pool each byte comes from, and numpy gathers them. The messages of
 the tick, and the length of its timestamp, determine the layout.
+
+With a hundred vehicles this gave 753,000 instead of 395,000 messages/s. To pack a whole second at once was rejected: it
+would have to be cut at the borders of chunks.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from agents.signals import SignalLayout
 from fleet.checks.values import BELIEF_SIZE as BELIEF_SIZE
 from fleet.checks.values import LOCATED_SIZE as LOCATED_SIZE
 from fleet.checks.values import belief_values, located_values
-from fleet.logs.mcap_writer import HEAD, MESSAGE, STAMP_BYTES, Batch
+from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
 from fleet.logs.schemas import (
     BELIEF,
     CLOCK_ERROR,
@@ -96,7 +99,7 @@ class _Slot(NamedTuple):
     behind: int  # where that begins
     believed: int  # where its belief begins; 0: it knows where it is
     located: int  # where its position by ranges begins; 0: it uses none
-    kind: int  # what it reports: a number among those that differ
+    kind: int  # number of its kind of report
 
 
 class _Kind(NamedTuple):
@@ -104,7 +107,7 @@ class _Kind(NamedTuple):
 
     agent: SignalLayout
     plant: tuple[Signal, ...] | None  # None: they have none
-    navigates: bool  # they do not know where they are
+    navigates: bool  # the vehicles do not know where they are
 
 
 class TickMessages:
@@ -122,7 +125,7 @@ class TickMessages:
         """
         self._topics = topics
         kinds = {i: _Kind(agent, plants.get(i), i in navigating) for i, agent in agents.items()}
-        self._kinds = list(dict.fromkeys(kinds.values()))  # those that differ
+        self._kinds = list(dict.fromkeys(kinds.values()))  # each kind of report once
         number = {kind: k for k, kind in enumerate(self._kinds)}
         self._slots: dict[int, _Slot] = {}
         place = _NUMBERS
@@ -144,8 +147,8 @@ class TickMessages:
             )
             place = located + 8 * (LOCATED_SIZE if ranged else 0)
         self._pool = bytearray(place)
-        self._constants: dict[bytes, int] = {}  # their places
-        self._size, self._added = place, list[bytes]()  # of the pool with what is still to be put at its end
+        self._constants: dict[bytes, int] = {}  # places of the constants in the pool
+        self._size, self._added = place, list[bytes]()  # size of the pool with what is still to be put at its end
         self._encoded: dict[tuple[str, int, int], NDArray[np.int64]] = {}
         self._messages: dict[tuple[str, int, int], tuple[_Places, _Places]] = {}
         self._layouts: dict[tuple[Any, ...], _Layout] = {}
@@ -200,8 +203,8 @@ class TickMessages:
         return Batch(at_ns, frame.tick, layout.channels, layout.bounds, records, digested)
 
     def _layout(self, groups: Sequence[str], stamp: int, there: Sequence[tuple[int, bool, bool, bool]]) -> _Layout:
-        """For the messages of these groups, with a timestamp of so many bytes. `there`: vehicle after vehicle, and
-        whether it has a measurement, a command, telemetry.
+        """For the messages of these groups. `stamp`: length of the timestamp [bytes]. `there`: vehicle after vehicle,
+        and whether it has a measurement, a command, telemetry.
         """
         key = (tuple(groups), stamp, tuple(there))
         if key in self._layouts:

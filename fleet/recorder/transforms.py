@@ -12,60 +12,17 @@ Every message has all of them: a viewer that jumps to a time needs no older one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import asin, atan2, cos, sin, sqrt
-from struct import Struct, pack
-from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from fleet.logs.schemas import varint
 from fleet.recorder.scene.primitives import NED, REFERENCE
+from fleet.recorder.template import Template, field
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Frame
 from world.vectors import Vec3
-
-# --- template: a protobuf message with changing doubles: encoded once, then new doubles are put in their places
-
-
-class Template:
-    """The encoded message that a function makes of so many doubles, without making it.
-
-    Protobuf leaves out zeros, which changes the lengths before them: where a value is zero, the function is called.
-    """
-
-    def __init__(self, make: Callable[..., Any], count: int) -> None:
-        """Find the places of the doubles. `make` gives a protobuf message with each of its `count` arguments in one
-        field, in the order of the fields.
-        """
-        self._make = make
-        marks = [0.1234567 * (k + 1) for k in range(count)]
-        rest = make(*marks).SerializeToString()
-        layout, self._parts = "<", []
-        for mark in marks:
-            constant, rest = rest.split(pack("<d", mark))
-            layout += f"{len(constant)}sd"
-            self._parts += [constant, mark]
-        self._parts.append(rest)
-        self._pack = Struct(f"{layout}{len(rest)}s").pack
-
-    def __call__(self, *values: float) -> bytes:
-        """The encoded message."""
-        if 0.0 in values:
-            return bytes(self._make(*values).SerializeToString())
-        parts = self._parts.copy()
-        parts[1::2] = values
-        return self._pack(*parts)
-
-
-def field(tag: bytes, data: bytes) -> bytes:
-    """A field that holds an encoded message, or several that were cut between fields, as long as the numbers of the
-    fields ascend.
-    """
-    return tag + varint(len(data)) + data
-
 
 MAP = "map"
 TRANSFORMS_UNITS = {

@@ -22,7 +22,7 @@ from msgspec.structs import astuple
 
 from agents.config import AgentConfig
 from agents.controllers import law_class, laws
-from fleet.logs.mcap_writer import Batch
+from fleet.logs.batch import Batch
 from fleet.logs.schemas import (
     BELIEF,
     CARRIED,
@@ -58,57 +58,18 @@ from fleet.recorder.transforms import TRANSFORMS_UNITS, Transforms
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT, locates
 from fleet.scenario.sections.timeline import Event
-from netem.fault_kinds import Cause
+from netem.cause import Cause
+from netem.clock import Clock
 from netem.relay import MessageFate
-from netem.vehicle_clock import Clock
 from netem.wire.messages import Command, Fate, Frame
 from world.plants.classes import plant_class
 from world.plugins.loading import fingerprint, unit_file
 from world.signal import Signal
 
-# --- packets
 # The message of a packet, encoded by hand: a run has as many as its links carry, and protobuf's object costs 3 us.
-
-
 _double = Struct("<Bd").pack  # tag, value
-_RANGE_TAGS = range(0x49, 0x70, 8)  # of five doubles, fields 9 to 13
+_RANGE_TAGS = range(0x49, 0x70, 8)  # five doubles, fields 9 to 13
 _FATES = {cause: b"\x32" + varint(len(cause)) + cause.encode() for cause in Cause}
-
-
-def packet_data(fate: Fate, tick_ns: int) -> bytes:
-    """A fate as the message `Packet` of `fleet.logs.schemas.PACKET`; as in all of protobuf, zeros are left out."""
-    data = b"\x08" + varint(fate.seq) if fate.seq else b""
-    if fate.copy:
-        data += b"\x10" + varint(fate.copy)
-    if fate.sent_tick:
-        data += _double(0x19, fate.sent_tick * tick_ns / SECOND_NS)
-    if fate.due_tick:
-        data += _double(0x21, fate.due_tick * tick_ns / SECOND_NS)
-    if fate.delay_ns:
-        data += _double(0x29, fate.delay_ns / SECOND_NS)
-    data += _FATES[fate.cause]
-    payload = fate.payload
-    if payload:
-        data += b"\x3a" + varint(len(payload)) + payload
-    return data + b"\x40\x01" if fate.corrupted else data
-
-
-def ranged_data(fate: Fate, tick_ns: int) -> bytes:
-    """The same as the message `RangedPacket`, with what its receiver's modem has measured."""
-    measured = fate.measured
-    values = (nan,) * 5
-    if measured is not None:
-        range_m, sd_m, tick, distance_m = astuple(measured)
-        values = (range_m, sd_m, tick * tick_ns / SECOND_NS, distance_m, range_m - distance_m)
-    return packet_data(fate, tick_ns) + b"".join(map(_double, _RANGE_TAGS, values))
-
-
-def carried_data(fate: Fate, tick_ns: int) -> bytes:
-    """The same as the message `CarriedPacket`, of a packet between nodes."""
-    assert isinstance(fate, MessageFate)
-    key, kind = fate.key.encode(), fate.kind.encode()
-    own = b"\x4a" + varint(len(key)) + key + b"\x52" + varint(len(kind)) + kind
-    return packet_data(fate, tick_ns) + own + (b"\x58" + varint(fate.size) if fate.size else b"")
 
 
 class MessageSink(Protocol):
@@ -360,3 +321,39 @@ def message_name(name: str, group: str) -> str:
         return f"{name.replace(':', '.')}{group.capitalize()}"
     words = re.findall(r"[A-Za-z0-9]+", name)
     return "".join(word[0].upper() + word[1:] for word in words) + group.capitalize()
+
+
+def packet_data(fate: Fate, tick_ns: int) -> bytes:
+    """A fate as the message `Packet` of `fleet.logs.schemas.PACKET`; as in all of protobuf, zeros are left out."""
+    data = b"\x08" + varint(fate.seq) if fate.seq else b""
+    if fate.copy:
+        data += b"\x10" + varint(fate.copy)
+    if fate.sent_tick:
+        data += _double(0x19, fate.sent_tick * tick_ns / SECOND_NS)
+    if fate.due_tick:
+        data += _double(0x21, fate.due_tick * tick_ns / SECOND_NS)
+    if fate.delay_ns:
+        data += _double(0x29, fate.delay_ns / SECOND_NS)
+    data += _FATES[fate.cause]
+    payload = fate.payload
+    if payload:
+        data += b"\x3a" + varint(len(payload)) + payload
+    return data + b"\x40\x01" if fate.corrupted else data
+
+
+def ranged_data(fate: Fate, tick_ns: int) -> bytes:
+    """The same as the message `RangedPacket`, with what its receiver's modem has measured."""
+    measured = fate.measured
+    values = (nan,) * 5
+    if measured is not None:
+        range_m, sd_m, tick, distance_m = astuple(measured)
+        values = (range_m, sd_m, tick * tick_ns / SECOND_NS, distance_m, range_m - distance_m)
+    return packet_data(fate, tick_ns) + b"".join(map(_double, _RANGE_TAGS, values))
+
+
+def carried_data(fate: Fate, tick_ns: int) -> bytes:
+    """The same as the message `CarriedPacket`, of a packet between nodes."""
+    assert isinstance(fate, MessageFate)
+    key, kind = fate.key.encode(), fate.kind.encode()
+    own = b"\x4a" + varint(len(key)) + key + b"\x52" + varint(len(kind)) + kind
+    return packet_data(fate, tick_ns) + own + (b"\x58" + varint(fate.size) if fate.size else b"")

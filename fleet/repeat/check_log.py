@@ -65,7 +65,7 @@ def check_log(
         problem = "a log is judged by checks on signals and in Python only, and this one needs a run"
         raise FleetError(f"--set checks.{others[0]}: {problem}; fleet run --set has the same words")
     for event in scenario.faults.events:
-        if event.tick < first:  # of a run that went on from another, whose log does not have it
+        if event.tick < first:  # the run went on from another, whose log does not have this event
             checks.event(event)
     feed = _Feed(scenario, checks, first)
     reader = LogReader(source.path, reading)
@@ -125,7 +125,7 @@ class _Feed:
             topic: tuple(MessageField(each.name, "", "", 0 if each.width == 1 else each.width) for each in of[2][1])
             for topic, of in self._samples.items()
         }
-        self._found: dict[tuple[int, str], Values] = {}  # of the tick that is read
+        self._found: dict[tuple[int, str], Values] = {}  # values at the tick that is read
         self._tick = -1
         self._whole = False
         self._next = first  # tick up to before which everything is shown

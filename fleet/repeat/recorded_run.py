@@ -20,8 +20,8 @@ from fleet.scenario.sections.vehicle_events import is_fault
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy, ran_from
+from netem.clock import Clock
 from netem.limits import LOG_FAULTS
-from netem.vehicle_clock import Clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Recorded:
     """The run of a log: its scenario, the faults that happened, and when it ended."""
 
     path: Path
-    reader: LogReader  # which has read all of it
+    reader: LogReader  # the reader has read the whole log
     text: str  # the scenario that stands in it
     events: list[tuple[int, Any]]  # (time [ns], message) of the topic `faults`
     last_ns: int  # time of the last message; -1 without any
@@ -146,7 +146,7 @@ def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]
     entries: dict[str, dict[str, Any]] = {}
     for at_ns, event in events:
         if not is_fault(event.what) or event.what.startswith("lost "):
-            continue  # it happens again; older logs know vehicles that were lost
+            continue  # a loss happens again by itself; only older logs have such events
         if event.action == "begins":
             entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **read_fault(event.what), "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:

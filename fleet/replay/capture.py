@@ -21,7 +21,8 @@ from fleet.errors import FleetError
 from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
 from fleet.terminal.status_line import StatusLine
 from netem.limits import LOG_RECORD
-from netem.wire.open_bus import ZenohSample, matching, sample_of
+from netem.wire.key_expression import matching
+from netem.wire.open_bus import ZenohSample, sample_of
 
 PROFILE = "zenoh"
 KIND, ENCODING = "zenoh.kind", "zenoh.encoding"
@@ -166,7 +167,7 @@ class Recorder:
         self._queue: SimpleQueue[tuple[int, Any]] = SimpleQueue()
         self._finished = False
         self.too_long = 0  # messages that are left out
-        self._longest = 0, ""  # of these: bytes, and its key
+        self._longest = 0, ""  # bytes and key of the longest one
         # Wall time that a correction of the system's clock cannot turn back.
         self._zero_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 (the log of others is in wall time)
         for number, key in enumerate(keys):

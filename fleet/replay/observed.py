@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from netem.files import read_json, write_whole
+from netem.files import read_json
 from netem.limits import OBSERVED
 from netem.private_folder import PrivateFolder
+from netem.whole_file import write_whole
 from netem.wire.credentials import OBSERVER, Credentials
 from netem.wire.keys import Keys
 
@@ -43,9 +44,9 @@ def write_observed(path: Path, observed: Observed) -> None:
 
 
 def host_observed(observed: Observed) -> OpenBus:
-    """A router at the endpoint that lets in the observer and nobody else. Raises BusError: the endpoint is not valid,
+    """A router at the endpoint that lets in the observer alone. Raises BusError: the endpoint is not valid,
     or it is in use."""
-    from netem.wire.open_bus import OpenBus  # and with it zenoh, which a run in one process does without
+    from netem.wire.open_bus import OpenBus  # here, because it imports zenoh, which a run in one process does without
 
     with PrivateFolder() as private:
         credentials = Credentials(observed.user, observed.password)

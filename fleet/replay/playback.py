@@ -15,11 +15,12 @@ from fleet.replay.capture import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encod
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, PlaybackOptions, Player
 from fleet.replay.topics import Stamp, hand_out, pack
 from fleet.terminal.keyboard import Key, Keyboard
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import Piece
 from netem.parsing import nearest
+from netem.wire.key_expression import is_key, matching
 from netem.wire.keys import Keys
-from netem.wire.open_bus import OpenBus, OpenPublication, is_key, matching
+from netem.wire.open_bus import OpenBus, OpenPublication
 
 MOST = 256  # messages between two looks at the keyboard
 NAP_S = 0.05  # the longest wait without a look at the clock

@@ -2,7 +2,8 @@
 
 The run pays for a copy into a pipe and no more: the pipe is never waited for. When it is full, because the publisher
 cannot keep up, whole ticks are left out and counted; the numbers in the stamps show subscribers what is missing. The
-publisher's router is not the run's, so a subscriber cannot hold up, or even see, what moves the run.
+publisher's router is not the run's, so a subscriber cannot hold up, or even see, what moves the run: on the run's
+router low-latency sending happens on the calling thread, and a slow reader would stall the world.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from fleet.processes.side_process import begin, end, line_of, pipe
 from fleet.replay.observed import new_observed, write_observed
 
 ENTRY = Struct("<HIQQQII")  # channel, sequence, log and publish time, places in log and topic, bytes that follow
-LENGTH = Struct("<I")  # of a batch
+LENGTH = Struct("<I")  # length of a batch
 PIPE_BYTES = 1 << 20  # the most that Linux gives an ordinary user
 BATCH_BYTES = 1 << 16
 READY_S = 20.0
@@ -53,7 +54,7 @@ class LivePublisher:
         self._size = 0
         self._number = 0
         self._places: dict[int, int] = {}  # how many messages there were, by channel
-        self._rest = b""  # of a batch that is partly written
+        self._rest = b""  # the rest of a batch that is partly written
         self._gone = False
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -78,7 +79,7 @@ class LivePublisher:
             "units": self._units,
             "wait": self.wait,
         }
-        # It ends with the pipe, also when we are killed.
+        # The process ends with the pipe, also when we are killed.
         streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         self._process = process = begin("fleet.replay.publisher_process", **streams)
         try:
@@ -158,7 +159,7 @@ class LivePublisher:
         if process is None:
             return
         deadline = time.monotonic() + DRAIN_S
-        self._write_all(deadline)  # else there would be no room for what comes last
+        self._write_all(deadline)  # otherwise there would be no room for what comes last
         self.flush()
         self._write_all(deadline)
         with contextlib.suppress(OSError):

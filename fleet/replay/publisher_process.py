@@ -19,7 +19,7 @@ from typing import IO, Any
 import setproctitle
 
 from fleet.errors import RunBroken
-from fleet.processes.limits import free_port
+from fleet.processes.ports import free_port
 from fleet.replay.capture import zenoh_encoding
 from fleet.replay.live_journal import pack_counts
 from fleet.replay.observed import Observed, host_observed

@@ -50,7 +50,7 @@ def unpack(data: bytes) -> Stamp:
 class PublishedTopic(NamedTuple):
     """The schema of a published topic; its messages are protobuf."""
 
-    schema: str  # its name
+    schema: str  # name of the schema
     descriptor_set: bytes  # google.protobuf.FileDescriptorSet
     units: str  # JSON: field -> [unit, meaning]; empty: not known
 
@@ -73,7 +73,7 @@ def hand_out(
 
 
 def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
-    """The topics of a journal that is published. Raises FleetError: nobody answers, or not as this program does."""
+    """The topics of a journal that is published. Raises FleetError: there is no answer, or not as this program does."""
     answer = bus.ask(keys.topics).get(keys.topics)
     if answer is None:
         raise FleetError(
@@ -94,7 +94,7 @@ def ask_topics(bus: OpenBus, keys: Keys) -> dict[str, PublishedTopic]:
 
 
 def ask_scenario(bus: OpenBus, keys: Keys) -> str:
-    """The scenario of a live run that is published, as YAML. Raises FleetError: nobody answers, or not with a text."""
+    """The scenario of a live run that is published, as YAML. Raises FleetError: no answer came, or not with a text."""
     answer = bus.ask(keys.scenario).get(keys.scenario)
     try:
         if answer is not None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.result.result import FORMAT, Result, json_text
+from fleet.result.json_text import json_text
+from fleet.result.result import FORMAT, Result
 from netem.files import read_file
 from netem.limits import RESULT_FILE
 

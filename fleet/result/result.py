@@ -14,109 +14,12 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fleet.notebook import html_table
+from fleet.result.json_text import json_text
+from fleet.result.timing import Punctual, Timing
 from fleet.result.verdict import Verdict, failed_first
 from netem.ledger import Account, Count
-from netem.vehicle_clock import Clock
 
-# --- timing: how everybody kept up in a run on a wall clock, as the world and the network measure it
-
-
-Counts = dict[str, Count]  # by vehicle
-Bucket = tuple[Annotated[float, Meta(gt=0, le=1e15)], Count]
-
-
-class Spread(Struct):
-    """The distribution of a time."""
-
-    count: Count
-    negative: Count
-    p50_ms: float
-    p95_ms: float
-    p99_ms: Annotated[float, Meta(description="99th percentile.")]
-    max_ms: float
-    histogram_ms: Annotated[list[Bucket], Meta(description="Upper edge and count of each bucket [ms].")]
-
-
-class WorldTiming(Struct):
-    """How the world kept to the wall clock."""
-
-    period_ms: Annotated[float, Meta(description="Of a tick [ms].", gt=0, le=1e9)]
-    run_s: Annotated[float, Meta(description="Wall time of the ticks that began.")]
-    held_s: float
-    slipped_s: Annotated[float, Meta(description="How far the world, being late, moved the clock.")]
-    lag: Spread
-    gap: Spread
-
-
-class VehicleTiming(Struct):
-    """How one agent kept up."""
-
-    asked: Annotated[Count, Meta(description="Ticks that needed an answer.")]
-    missed: Count
-    late: Count
-    stale: Annotated[Count, Meta(description="With a command of an earlier tick.")]
-    longest: Annotated[Count, Meta(description="Longest run of missed ticks.")]
-    silent: Annotated[Count, Meta(description="Ticks on which the agent counted as silent.")]
-    response: Spread
-    gap: Spread
-
-    @property
-    def missed_share(self) -> float:
-        """The share of its ticks that it missed."""
-        return self.missed / max(1, self.asked)
-
-
-class LinkTiming(Struct):
-    """The delay of one directed link."""
-
-    injected: Spread
-    measured: Spread
-
-
-class NetworkTiming(Struct):
-    """How the network kept to the wall clock."""
-
-    links: dict[str, LinkTiming]
-    hop: Spread
-    margin: Annotated[Spread, Meta(description="From the arrival to its due tick; below 0: too late.")]
-    overdue: Annotated[Count, Meta(description="Used after their due tick.")]
-    unread: Annotated[Count, Meta(description="Not confirmed by an agent at the end.")]
-    late: Annotated[Counts, Meta(description="By vehicle.")]
-    missed: Annotated[Counts, Meta(description="By vehicle.")]
-
-
-class Timing(Struct, kw_only=True):
-    """How everybody kept up with `--clock real`."""
-
-    clock: Clock = Clock.REAL
-    speed: Annotated[float, Meta(description="Times real time [1].")] = 1.0
-    label: Annotated[str, Meta(description="on time, or degraded.")] = ""
-    reasons: list[str] = []
-    world: WorldTiming
-    vehicles: dict[str, VehicleTiming]
-    netem: NetworkTiming
-
-
-class Punctual(Struct):
-    """How a network of nodes kept to the wall clock."""
-
-    late: Annotated[Spread, Meta(description="How much later than due messages were handed over.")]
-    came: Annotated[Spread, Meta(description="How long what came waited for the relay, by probes.")]
-
-
-# --- JSON as files and `--json` have it
-
-
-def json_text(document: Any) -> str:
-    """A struct or plain values as JSON: a number that is not finite becomes null, since JSON has none."""
-    try:
-        return msgspec.json.format(msgspec.json.encode(document, enc_hook=str), indent=2).decode()
-    except UnicodeEncodeError:  # the name of a file that is no text; json writes it with escapes
-        plain = json.dumps(msgspec.to_builtins(document, enc_hook=str))
-        return json.dumps(json.loads(plain, parse_constant=lambda _: None), indent=2)
-
-
-FORMAT = 1  # of result.json; a larger one was written by a later version
+FORMAT = 1  # the format of result.json; a later version may write a larger number
 Number = float | None  # null in JSON: not finite, or there is none
 
 
@@ -227,7 +130,24 @@ class Published(Struct):
 
 
 class Result(Struct, kw_only=True):
-    """The result of a run. `result.json` has all of it but `run` and `directory`."""
+    """The result of a run. `result.json` has all of it but `run` and `directory`.
+
+    Attributes:
+        scenario: name of the scenario.
+        seed: the seed of the run.
+        status: how the run ended.
+        exit: the exit status of `fleet run`.
+        lines: what explains `reason`, such as the last lines of a process.
+        sim_s: the simulated time that the run reached [s].
+        vehicles: the result of each vehicle, by its number as text.
+        formation: the formation errors in the last frame [m].
+        tumbles: when vehicles were tumbled.
+        ledger: the account of the packets of each link, by `1->2`.
+        faults: when faults began and ended, in that order.
+        python: version of Python.
+        wall: wall times [s], processes, and what computed the run.
+        notes: what agents and processes reported, a line each.
+    """
 
     run: Annotated[str, Meta(description="Empty: it has no directory.")] = ""
     directory: Annotated[Path | None, Meta(description="null: nothing was written.")] = None

@@ -10,7 +10,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from fleet.quantities import vehicle_names
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 
 
 class LastMessage(Struct, frozen=True):

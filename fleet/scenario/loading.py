@@ -3,221 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
-from typing import Any, cast, get_args, get_origin
-
-from pydantic import TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails
 
 from fleet.errors import Problem, ScenarioError
 from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios, shipped_text
-from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules.apply import check
-from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.scenario import Reading, Scenario
-from fleet.scenario.schema.checks import PYTHON
-from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.nodes import expanded, still
 from fleet.scenario.text.overrides import Override, apply
-from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, locate, plain, read, text_place
+from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
-from fleet.scenario.value_types import Section, section_of
+from fleet.scenario.validation import validate
 from netem.files import read_bounded, read_file
 from netem.limits import SCENARIO
 from netem.parsing import nearest
-
-# --- validation
-# A tree of YAML against the schema and the rules: every mistake, each where it was written.
-
-
-# What a hint offers for a key of the whole scenario that is missing.
-EXAMPLES = {
-    "title": "Four vehicles in a square",
-    "vehicles": "4",
-    "duration": "60 s",
-    "reference": "{start: 0 0 5 m, velocity: 0.5 0 0 m/s}",
-    "formation": "{shape: line, spacing: 8 m}",
-    "graph": "{shape: ring}",
-    "initial": "{scatter: 0.5 m, around: reference}",
-    "network": "{period: 100 ms, links: {'*': delay 100ms loss 20%}}",
-}
-
-# By the kind of pydantic's error: what is expected, and a hint.
-_WANTED = {
-    **dict.fromkeys(("int_type", "int_parsing", "int_from_float", "int_parsing_size"), ("expected a whole number", "")),
-    "greater_than_equal": ("must be {ge} or more", ""),
-    "less_than_equal": ("must be {le} or less", ""),
-    "less_than": ("must be less than {lt}", ""),
-    "list_type": ("expected a list", ""),
-    "string_type": ("expected a text", "quotes make it a text"),
-    "string_pattern_mismatch": ("expected lower-case letters, digits, - and _", "it names the run's directory"),
-}
-
-Loc = tuple[str | int, ...]
-
-
-def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING) -> tuple[Parts | None, list[Problem]]:
-    """Every mistake in a scenario, and its parts; None instead of these if there is a mistake.
-
-    Rules that compare keys are also applied if other keys are wrong. So one call finds as many mistakes as possible.
-    """
-    data = plain(root)
-    report = Report(root, policy=policy)
-    try:
-        spec = ScenarioSpec.model_validate(data)
-    except ValidationError as error:
-        report.problems += [_explain(root, detail) for detail in error.errors(include_url=False)]
-        spec = cast(ScenarioSpec, _Partial(ScenarioSpec, data))
-    parts = Parts(spec, folder)
-    check(parts, report)
-    return (None if report.problems else parts), report.problems
-
-
-class _Partial:
-    """The valid values of a section that as a whole is not; to read another raises UnknownValueError."""
-
-    def __init__(self, section: type[Section], data: dict[str, Any]) -> None:
-        self._section = section
-        self._data = data
-
-    def __iter__(self) -> Iterator[tuple[str, Any]]:
-        raise UnknownValueError
-
-    def __getattr__(self, name: str) -> Any:
-        info = self._section.model_fields.get(name)
-        if info is None:  # something that only a whole section can do
-            raise UnknownValueError
-        key = info.alias or name
-        if key not in self._data:
-            if info.is_required():
-                raise UnknownValueError
-            return info.get_default(call_default_factory=True)
-        value = self._data[key]
-        kind = _kind(self._section, name)
-        try:
-            return kind.validate_python(value, strict=True)
-        except ValidationError as error:
-            section = None if _holds_many(info.annotation) else section_of(info.annotation)
-            locs = [detail["loc"] for detail in error.errors()]
-            entries = {(key,) for key in value} if isinstance(value, dict) else set()
-            if not isinstance(value, dict) or (section is None and any(loc[:1] not in entries for loc in locs)):
-                raise UnknownValueError from None
-            if section is not None:
-                return _Partial(section, value)
-            bad = {loc[0] for loc in locs}
-            try:
-                return kind.validate_python({k: v for k, v in value.items() if k not in bad}, strict=True)
-            except ValidationError:  # what is left is too little, as one node of two
-                raise UnknownValueError from None
-
-
-@cache
-def _kind(section: type[Section], name: str) -> TypeAdapter[Any]:
-    return TypeAdapter(section.model_fields[name].rebuild_annotation())
-
-
-def _explain(root: Mapping, error: ErrorDetails) -> Problem:
-    loc = error["loc"]
-    path = _in_file(root, loc)
-    context, value = error.get("ctx", {}), error["input"]
-    name = dotted(path)
-    match error["type"]:
-        case "missing":
-            section = dotted(path[:-1])
-            where = f' in "{section}"' if section else ""
-            hint = f"for example {name}: {EXAMPLES[name]}" if name in EXAMPLES else ""
-            return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}', hint, name)
-        case "extra_forbidden":
-            place = locate(root, path, key=True)
-            return place.problem(f'unknown key "{_short(name)}"', _nearest_key(loc), name)
-        case "mistake":
-            if path[-1] == "[key]":
-                path = path[:-1]
-                place, name = locate(root, path, key=True).shifted(context["column"]), dotted(path[:-1])
-            else:
-                place = text_place(root, path, context["column"])
-            return place.problem(f"{_short(name)}: {context['message']}", context["hint"], name)
-        case "literal_error":
-            words = re.findall(r"'([^']*)'", context["expected"])
-            hint = nearest(value, words) if isinstance(value, str) else ""
-            message = f"expected {' or '.join(words)}, got {describe_value(value)}"
-        case "model_type" | "dict_type" | "model_attributes_type":
-            message = f"expected keys with values, got {describe_value(value)}"
-            hint = nearest(str(loc[-1]), [key for key in _siblings(loc) if key != loc[-1]]) or "write {key: value}"
-        case kind:
-            wanted, hint = _WANTED.get(kind, ("{msg}", ""))
-            message = f"{wanted.format_map({**context, 'msg': error['msg']})}, got {describe_value(value)}"
-    return locate(root, path).problem(f"{_short(name)}: {message}", hint, name)
-
-
-def _in_file(root: Mapping, loc: Loc) -> Loc:
-    """The path in the file of a path in the model.
-
-    The model has a step more for the form of `initial`, for checks in Python, and for an entry that the file writes
-    without its list.
-    """
-    if loc[0] == "initial" and len(loc) > 1:
-        return loc[:1] + loc[2:]
-    path: Loc = ()
-    node: Node | None = root
-    for step in loc:
-        if step == PYTHON or (isinstance(node, Mapping) and isinstance(step, int)):
-            continue
-        path += (step,)
-        if isinstance(node, Mapping):
-            node = node.entries.get(str(step))
-        elif isinstance(node, Items) and isinstance(step, int) and step < len(node.items):
-            node = node.items[step]
-        else:
-            node = None
-    return path
-
-
-def _siblings(loc: Loc) -> list[str]:
-    """The keys of the section that a path ends in."""
-    section: type[Section] = ScenarioSpec
-    for step in loc[:-1]:
-        if isinstance(step, str) and step in section.model_fields:
-            section = section_of(section.model_fields[step].annotation) or section
-    return [info.alias or name for name, info in section.model_fields.items()]
-
-
-def _nearest_key(loc: Loc) -> str:
-    key, siblings = str(loc[-1]), _siblings(loc)
-    if hint := nearest(key, siblings, 0.8):
-        return hint
-    hint = nearest(key, siblings)
-    elsewhere = [path for path in _everywhere() if path.rpartition(".")[2] == key]
-    if elsewhere:
-        other = f'"{min(elsewhere, key=lambda path: path.count("."))}"?'
-        return hint.replace("?", f" or {other}") if hint else f"did you mean {other}"
-    return hint or f"known here: {', '.join(siblings)}"
-
-
-@cache
-def _everywhere() -> list[str]:
-    return list(_paths(ScenarioSpec, ""))
-
-
-def _paths(section: type[Section], prefix: str) -> Iterator[str]:
-    for name, info in section.model_fields.items():
-        name = info.alias or name
-        yield prefix + name
-        below = section_of(info.annotation)
-        if below is not None:
-            yield from _paths(below, f"{prefix}{name}.")
-
-
-def _holds_many(annotation: Any) -> bool:
-    return get_origin(annotation) in (list, dict) or any(_holds_many(argument) for argument in get_args(annotation))
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= 60 else name[:57] + "..."
 
 
 def load_scenario(

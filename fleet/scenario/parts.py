@@ -10,31 +10,34 @@ from collections.abc import Callable, Iterator
 from functools import cache, cached_property, partial
 from pathlib import Path
 
-from agents.config import Offset
+from agents.config import Cylinder, KeepApartParams
+from agents.offset import Offset
 from agents.trajectory import Reference
 from fleet.errors import FleetError
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.control import GuidanceSection, VehicleOverrides
-from fleet.scenario.schema.motion import REFERENCE
+from fleet.scenario.schema.keep_apart import KeepApartSection
+from fleet.scenario.schema.motion import (
+    REFERENCE,
+)
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections import formation, graph, link_conditions, nemesis, per_vehicle, timeline
+from fleet.scenario.sections import formation, graph, link_conditions, nemesis, per_vehicle, reference, timeline
 from fleet.scenario.sections.acoustic import compile_acoustic, modem_values
 from fleet.scenario.sections.clocks import vehicle_clock
-from fleet.scenario.sections.formation import keep_apart_params
 from fleet.scenario.sections.graph import Graph
 from fleet.scenario.sections.modem_files import Values, modem_of
 from fleet.scenario.sections.navigation import navigation_of
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, instruments
 from fleet.scenario.sections.per_vehicle import Control, Entries
-from fleet.scenario.sections.trace_table import TraceTable
+from fleet.scenario.sections.trace_table import TraceTable, load_trace
 from netem.condition import Condition, Link
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.modem import AcousticConfig, Modem
 from netem.vehicle_clock import VehicleClock
-from world.config import VehicleParams
 from world.vectors import Vec3, Vec5
+from world.vehicle_params import VehicleParams
 
 
 class UnknownValueError(FleetError):
@@ -55,15 +58,13 @@ class Parts:
         self._choices: dict[Entries, VehicleOverrides] = {}
         self._vehicles: dict[Entries, tuple[VehicleParams, Vec3]] = {}
 
-    # --- motion ---------------------------------------------------------------------------------------------------
-
     @cached_property
     def reference(self) -> Reference:
         """The reference trajectory; its length may still raise PathError."""
         section = self.spec.reference
         if any(getattr(section, key) is None for key in REFERENCE[section.shape or "line"].needed):
             raise UnknownValueError
-        return formation.build(section)
+        return reference.build(section)
 
     @cached_property
     def plans(self) -> tuple[Offset, ...]:
@@ -81,8 +82,6 @@ class Parts:
         """(eta0, nu0) of each vehicle."""
         places = tuple(plan.start for plan in self.plans)
         return formation.initial_states(self.spec.initial, places, self.reference.at(0.0), self.spec.seed)
-
-    # --- network --------------------------------------------------------------------------------------------------
 
     @cached_property
     def graph(self) -> Graph:
@@ -135,7 +134,7 @@ class Parts:
     @cached_property
     def traces(self) -> Callable[[str], TraceTable]:
         """The trace of some links by what the scenario names; each is read once."""
-        return cache(partial(link_conditions.load_trace, folder=self.folder))
+        return cache(partial(load_trace, folder=self.folder))
 
     @cached_property
     def modem_values(self) -> Values:
@@ -162,8 +161,6 @@ class Parts:
         return compile_acoustic(
             section, self.modem, spec.network.payload, spec.vehicles, spec.tick, others, self.folder
         )
-
-    # --- vehicles -------------------------------------------------------------------------------------------------
 
     @cached_property
     def _named(self) -> dict[str, frozenset[int]]:
@@ -219,8 +216,6 @@ class Parts:
         given = ((i, self.choice(self.entries(i)).clock) for i in range(1, self.spec.vehicles + 1))
         return {i: vehicle_clock(clock, self.spec.seed, i) for i, clock in given if clock is not None}
 
-    # --- faults ---------------------------------------------------------------------------------------------------
-
     @cached_property
     def ground(self) -> NemesisTargets:
         """The parts of the scenario that a nemesis acts on."""
@@ -240,3 +235,20 @@ class Parts:
     def faults(self) -> timeline.FaultPlan:
         """Every fault, for the cores; the faults must be valid."""
         return timeline.plan(self.explicit, self.links)
+
+
+def keep_apart_params(section: KeepApartSection | None) -> KeepApartParams | None:
+    """Its parameters in SI units; None without the section."""
+    if section is None:
+        return None
+    return KeepApartParams(
+        distance=section.distance,
+        obstacles=tuple(Cylinder(*obstacle.at, obstacle.radius) for obstacle in section.obstacles),
+        gain=section.gain,
+        lag_s=section.lag / 1e9,
+        slew=section.slew,
+        acceleration=section.acceleration,
+        speed=section.speed,
+        climb=section.climb,
+        age_cap_s=section.age_cap / 1e9,
+    )

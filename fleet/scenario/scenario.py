@@ -9,8 +9,9 @@ from math import gcd
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.config import AgentConfig, Law, Neighbour, Offset, OffsetChange
+from agents.config import AgentConfig, Law, Neighbour
 from agents.controllers import BUILT_IN, laws, layout
+from agents.offset import Offset, OffsetChange
 from agents.plugins.laws import with_whole_path
 from agents.signals import SignalLayout
 from fleet.quantities import vehicle_numbers
@@ -22,10 +23,11 @@ from fleet.scenario.sections.formation import initial_rolls
 from fleet.scenario.sections.log_rates import log_every
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
-from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name, shipped_vehicles
+from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
 from fleet.scenario.sections.signals import BeliefKind
 from fleet.scenario.sections.triggers import trigger_lines
-from fleet.scenario.text import yaml_writer
+from fleet.scenario.sections.vehicle_files import shipped_vehicles
+from fleet.scenario.text import scenario_yaml
 from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import Policy
@@ -67,16 +69,16 @@ class Scenario:
         self.plans = parts.plans  # p_i(t) [m, NED]
         self.graph, self.b = parts.graph, parts.graph.b
         self.initial = parts.initial  # (eta0, nu0) of each vehicle
-        self.conditions = parts.conditions  # of every link that is not perfect at the start
+        self.conditions = parts.conditions  # every link that is not perfect at the start
         self.radios = parts.radios  # rate and limit of all that a vehicle sends
         self.changing = parts.changing  # what the others do whose condition changes by itself
         self.selectors = parts.written  # the last entry of network.links that names each link
         self.controls = parts.controls  # what each vehicle is and runs
         self.external = tuple(i for i, its in enumerate(self.controls, 1) if its.external)  # agents that others start
         self.faults = parts.faults
-        self.other_laws = _others(parts.controls)  # kind and law of those that are not built in, each name once
+        self.other_laws = _others(parts.controls)  # kind and name of laws that are not built in, each name once
         self.acoustic = parts.acoustic  # None: the network is not acoustic
-        self.clocks = parts.clocks  # of the vehicles for which one is set
+        self.clocks = parts.clocks  # only vehicles for which a clock is set
         # The periodic forces on every vehicle; empty: none.
         self.disturbance = disturbance.PAPER if spec.sea.disturbance == "paper" else ()
         self.exact_gains = False  # whether agents leave PIQP out: the same gains in less time, if set before the run
@@ -120,7 +122,7 @@ class Scenario:
 
     @property
     def plants(self) -> dict[str, PlantSection]:
-        """The plants of the vehicles by name; of those with one name the first."""
+        """The plants of the vehicles by name, for each name the first."""
         return {c.plant.name: c.plant for c in reversed(self.controls) if c.plant is not None}
 
     @cached_property
@@ -257,11 +259,11 @@ class Scenario:
 
         With another seed it has the same faults: for that there are `loading.changed` and `to_undrawn_yaml`.
         """
-        return yaml_writer.scenario_yaml(self.spec)
+        return scenario_yaml.scenario_yaml(self.spec)
 
     def to_undrawn_yaml(self) -> str:
         """The text for other processes that make runs with other seeds: the scenario before its nemesis drew faults."""
-        return yaml_writer.scenario_yaml(self.undrawn)
+        return scenario_yaml.scenario_yaml(self.undrawn)
 
 
 def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:
@@ -323,7 +325,7 @@ def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
 
 
 def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:
-    """The same in words, a line each; with `most`, only so many and a line that says how many more there are."""
+    """The same in words, a line each; with `most`, no more lines, and one that says how many are left out."""
     found = timeline(scenario)
     waiting = trigger_lines(scenario.spec.triggers, scenario.spec)
     lines = [

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fleet.errors import Problem
-from netem.files import read_file, write_whole
+from netem.files import read_file
 from netem.limits import TRUSTED
+from netem.whole_file import write_whole
 from world.plugins.loading import admit
 from world.plugins.trust import Permission, own_folders
 
@@ -52,7 +53,7 @@ class Policy:
 
 
 READING = Policy(imports=False)
-RECORDS = ("run.mcap", "result.json")  # in the directory of a run; one of them may not be there
+RECORDS = ("run.mcap", "result.json")  # a run's directory has both, or one of the two
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,9 +27,10 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from fleet import quantities as q
 from fleet.quantities import vehicle_numbers
 from netem.condition import Condition
+from netem.curve import Curve
 from netem.errors import TextError
-from netem.grammar import parse_condition, parse_selector, print_condition
-from netem.modem import Curve
+from netem.grammar import parse_condition, print_condition
+from netem.link_selector import parse_selector
 from netem.propagation import decibels, power
 from world.vectors import Vec3
 
@@ -236,7 +237,7 @@ Scatter = Annotated[float, Text(_scatter, _show_scatter)]  # power of the steady
 Temperature = Annotated[float, _scalar(q.TEMPERATURE)]
 Salinity = Annotated[float, _scalar(q.NUMBER)]
 Bytes = Annotated[int, Text(_bytes, lambda value: f"{value} bytes", "positive")]
-NoBytes = Annotated[int, Text(_bytes, lambda value: f"{value} bytes", "not negative")]  # or some
+NoBytes = Annotated[int, Text(_bytes, lambda value: f"{value} bytes", "not negative")]  # none is allowed, too
 Fraction = Annotated[float, Text(_fraction, float)]
 Spreading = Annotated[float, Text(_spreading, float)]
 Gain = Annotated[float, _scalar(q.RATE, "positive")]

@@ -102,7 +102,7 @@ class Keyboard:
         return suspended
 
     def read(self, timeout_s: float) -> list[Key]:
-        """The keys that were pressed; waits for the first one at most so long."""
+        """The keys that were pressed; waits for the first one at most for this time."""
         if self._descriptor is None:
             time.sleep(timeout_s)
             return []

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from netem.errors import MalformedMessage
-from netem.wire.bus import PART_BYTES, Bus, split
+from netem.wire.bus import Bus
 from netem.wire.codec import encode
 from netem.wire.credentials import Members, host_role
 from netem.wire.keys import Keys
 from netem.wire.messages import Bundle, BundlePart
+from netem.wire.parts import PART_BYTES, split
 
-_PART_BYTES = 12  # of a part, besides its message
+_PART_BYTES = 12  # length of a part besides its message
 
 
 def bundles(parts: Sequence[BundlePart]) -> Iterator[bytes]:

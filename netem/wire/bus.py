@@ -5,15 +5,10 @@
 
 from __future__ import annotations
 
-import os
-import socket
-import stat
-import struct
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, TypeVar
+from typing import Any
 
 import zenoh
 
@@ -21,6 +16,8 @@ from netem.errors import BusError
 from netem.limits import WIRE_MESSAGE
 from netem.wire.credentials import LEASE_MS, Credentials, Listener, Members, access_control
 from netem.wire.keys import Keys
+from netem.wire.linger import never_linger
+from netem.wire.parts import PART_BYTES, pieces
 from netem.wire.queues import PutQueue, Stamped
 from netem.wire.session import (
     client_settings,
@@ -32,65 +29,6 @@ from netem.wire.session import (
     server_tls,
     users_file,
 )
-
-# --- linger: connections of this process are closed without waiting
-# Zenoh 1.10 opens them with SO_LINGER, 10 s. Closing a connection with unsent bytes then waits for them, on the one
-# thread that does all of zenoh's work here. Behind a cable that was pulled they are never taken. While zenoh waits, it
-# gives no signs of life on its other links either, and these end, too, when that takes longer than their lease. Without
-# SO_LINGER the kernel goes on sending in the background, as for every other program.
-
-
-_OFF = struct.pack("ii", 0, 0)
-
-
-def never_linger() -> None:
-    """Take the option from every TCP connection that is open now.
-
-    All duplicates of a descriptor share it, so it can be set on a duplicate, which no other thread closes meanwhile.
-    """
-    for place in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # closed meanwhile
-            if not stat.S_ISSOCK(place.stat().st_mode):
-                continue
-            duplicate = os.dup(int(place.name))
-            try:
-                _set(duplicate)
-            finally:
-                os.close(duplicate)
-
-
-def _set(descriptor: int) -> None:
-    stream = socket.socket(fileno=descriptor)
-    try:
-        if stream.type == socket.SOCK_STREAM and stream.family in (socket.AF_INET, socket.AF_INET6):
-            stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
-    finally:
-        stream.detach()
-
-
-# --- parts: long messages in parts, because the transport carries no long ones
-
-
-PART_BYTES = 32_000  # of a long message; well below `netem.wire.session.WIRE_MESSAGE.bytes`
-
-_T = TypeVar("_T")
-
-
-def split(items: Sequence[_T], size: Callable[[_T], int], limit: int) -> Iterator[tuple[Sequence[_T], bool]]:
-    """Consecutive parts of `items`, each of at most `limit` bytes or a single item, with whether more follow."""
-    begin = total = 0
-    for index, item in enumerate(items):
-        total += (one := size(item))
-        if total > limit and index > begin:
-            yield items[begin:index], True
-            begin, total = index, one
-    yield items[begin:], False
-
-
-def pieces(data: bytes, limit: int) -> list[bytes]:
-    """The same bytes, at most `limit` at a time; an empty list for no bytes."""
-    return [data[begin : begin + limit] for begin in range(0, len(data), limit)]
-
 
 CLOSE_S = 3.0
 Handler = Callable[[str, bytes], None]

@@ -3,6 +3,10 @@
 Zenoh asks for a password on every listener of a session or on none, and so a router that takes certificates alone is a
 session of its own. Its access-control list knows each agent by the common name of its certificate. This router
 exchanges the messages of each agent with the run's router, key by key, and forwards nothing more.
+
+Such agents use zenoh-pico, which has no passwords. A nav and its command take 168 and 221 us here, and 105 and 60 us on
+the run's router. Commands and payloads of an agent are one subscription: with one each, zenoh's threads put a command
+before the payloads of its tick.
 """
 
 from __future__ import annotations
@@ -13,9 +17,10 @@ from contextlib import suppress
 import zenoh
 
 from netem.errors import BusError
-from netem.wire.bus import Bus, Respond, never_linger
+from netem.wire.bus import Bus, Respond
 from netem.wire.credentials import Listener, agent_role, certificate_control
 from netem.wire.keys import Keys
+from netem.wire.linger import never_linger
 from netem.wire.session import UNIVERSAL, listening, open_session, reason, router_settings, server_tls
 
 
@@ -23,15 +28,23 @@ class CertificateRouter:
     """Listens with mutual TLS, and passes messages between the agents of `listener.certified` and the run's router."""
 
     def __init__(self, run: Bus, keys: Keys, vehicles: tuple[int, ...], listener: Listener) -> None:
-        """Open the router beside that of the session `run`. Agent i may join here if its role is in
-        `listener.certified`. Raises BusError if an endpoint is in use, or this process may not listen on it.
+        """Open the router beside that of a run.
+
+        Args:
+            run: the session of the run.
+            keys: of the run.
+            vehicles: all of them; agent i may join here if its role is in `listener.certified`.
+            listener: endpoints and certificates.
+
+        Raises:
+            BusError: an endpoint is in use, or this process may not listen on it.
         """
         agents = tuple(i for i in vehicles if agent_role(i) in listener.certified)
         settings = {
             **router_settings(len(agents), listener.lease_ms),
             **UNIVERSAL,
             **listening([*listener.endpoints]),
-            **server_tls(listener, mutual=True),  # also where no vehicle is external
+            **server_tls(listener, mutual=True),  # the certificate is needed even if no vehicle is external
             "access_control": certificate_control(keys, agents),
         }
         try:
@@ -40,7 +53,7 @@ class CertificateRouter:
             raise BusError(f"cannot listen on {' and '.join(listener.endpoints)}: {reason(error)}") from None
         self._bus.watch_begins(lambda _: never_linger())
         self._run, self._keys = run, keys
-        self._withdraw: dict[str, Callable[[], None]] = {}  # by key of the token
+        self._withdraw: dict[str, Callable[[], None]] = {}  # functions that withdraw a token, by its key
         for i in agents:
             self._connect(i)
         run.keep(self)

@@ -16,7 +16,7 @@ from typing import Any
 from netem.wire.keys import Keys
 
 CONSOLE, NETEM, OPERATOR, WORLD = "console", "netem", "operator", "world"
-OBSERVER = "observer"  # of a published run: it has a router of its own, and may read the journal there
+OBSERVER = "observer"  # a published run has a router of its own, where the observer may read the journal
 
 
 Members = Sequence[Sequence[int]]  # the vehicles whose agents share a process, by host: host 1 comes first
@@ -56,7 +56,11 @@ class Credentials:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Credentials:
-        """Read such a file; other entries are ignored. Raises TypeError without user or password."""
+        """Read such a file; other entries are ignored.
+
+        Raises:
+            TypeError: there is no user or no password.
+        """
         return cls(**{each.name: values[each.name] for each in fields(cls) if each.name in values})
 
 
@@ -75,7 +79,17 @@ class Listener:
 def generate(
     vehicles: tuple[int, ...], *, hosts: Members = (), prefix: str = "", world: bool = False
 ) -> dict[str, Credentials]:
-    """Fresh credentials for every client of a run, by role; the arguments are those of `access_control`."""
+    """Make fresh credentials for every client of a run.
+
+    Args:
+        vehicles: as for `access_control`.
+        hosts: likewise.
+        prefix: likewise.
+        world: likewise.
+
+    Returns:
+        The credentials, by role.
+    """
     roles = [CONSOLE, NETEM, OPERATOR, *map(agent_role, _alone(vehicles, hosts)), *([WORLD] if world else [])]
     roles += [host_role(h) for h in range(1, len(hosts) + 1)]
     return {role: Credentials(prefix + role, secrets.token_urlsafe(24)) for role in roles}
@@ -213,8 +227,8 @@ def _agent_grants(keys: Keys, i: int) -> list[Grant]:
         ("ingress", ["liveliness_token"], [keys.alive(role)]),
         ("egress", ["put"], [keys.rx(i), keys.nav(i)]),
         ("egress", ["reply"], [keys.cfg(i)]),
-        # The router tells a publisher which key expressions are subscribed to; ours are the starred
-        # ones, and a publisher that hears of none stays silent.
+        # Not `cmd/3` alone: on a router with access control a publisher stays silent until it hears of a subscriber,
+        # and it hears the subscriber's expression, which has a star.
         ("egress", ["declare_subscriber"], [keys.tx("*"), keys.cmd("*"), keys.note("*")]),
         ("egress", ["declare_queryable"], [keys.cfg("*")]),
     ]

@@ -8,63 +8,18 @@ thread takes it out, one item at a time. Only netem in lockstep touches its core
 from __future__ import annotations
 
 import logging
-import os
-import sys
 from collections import Counter
 from collections.abc import Callable
 from queue import SimpleQueue
 from time import monotonic
-from typing import Any, NamedTuple
-
-import msgpack
+from typing import NamedTuple
 
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.wire.bus import Bus, Respond
 from netem.wire.codec import encode
-from netem.wire.credentials import LEASE_MS, Credentials
 from netem.wire.keys import tail, vehicle_of
 from netem.wire.messages import Note
 from netem.wire.queues import Quota
-
-# --- link loss: a process ends when its link to the router does
-
-
-LINK_LOST = 71  # exit status: the link to a router on another host has ended
-
-
-def end_with_link(bus: Bus, credentials: Credentials) -> None:
-    """Between hosts, end this process when its link to the router has ended: zenoh would make another one by itself,
-    and what was on the way would be missing without a word. On one host the console sees the end of a process.
-    """
-
-    def end() -> None:
-        print(f"the link to the router at {bus.endpoint} has ended: closed, or silent for the lease", file=sys.stderr)
-        sys.stderr.flush()
-        os._exit(LINK_LOST)
-
-    if credentials.lease_ms < LEASE_MS:
-        bus.on_lost(end)
-
-
-# --- control: requests and their answers: maps of plain values
-
-
-def request(op: str, **fields: Any) -> bytes:
-    """A control request: a MessagePack map with the operation's name."""
-    data: bytes = msgpack.packb({"op": op, **fields})
-    return data
-
-
-def read_map(data: bytes) -> dict[str, Any]:
-    """A control request or answer. Raises MalformedMessage: not a MessagePack map with text keys."""
-    try:
-        values = msgpack.unpackb(data)
-    except Exception as error:  # msgpack raises half a dozen unrelated types for bad bytes
-        raise MalformedMessage("control", f"not MessagePack ({error or type(error).__name__})") from None
-    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-        raise MalformedMessage("control", f"expected a map, got {values!r:.60}")
-    return values
-
 
 log = logging.getLogger(__name__)
 
@@ -90,7 +45,7 @@ class Mailbox:
         self._note = bus.publisher(note_key)
 
     def subscribe(self, key: str) -> None:
-        """Queue every put on `key`; what exceeds the quota of a key is dropped and counted, so that nobody waits."""
+        """Queue every put on `key`; what exceeds the quota of a key is dropped and counted, so that no sender waits."""
         put, quota = self.queue.put, self._quota
 
         def receive(k: str, data: bytes) -> None:

@@ -9,80 +9,29 @@ some languages' MessagePack writes 1.0 as 1). Ticks count control periods Ts fro
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, ClassVar
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
-from netem.fault_kinds import Cause, WorldFaultKind
-
-# --- declaring: the parts of message declarations: types of fields with their bounds, meanings and units, and routes
-
-
-_GREATEST = 1.7976931348623157e308  # the greatest finite double
-
-Uint = Annotated[int, Meta(ge=0)]
-Text = Annotated[str, Meta(max_length=4096)]
-Real = Annotated[float, Meta(ge=-_GREATEST, le=_GREATEST)]  # the bounds refuse NaN and infinity
-Reals = tuple[Real, ...]
-Reals2 = Annotated[Reals, Meta(min_length=2, max_length=2)]
-RealsTo2 = Annotated[Reals, Meta(max_length=2)]
-Reals3 = Annotated[Reals, Meta(min_length=3, max_length=3)]
-Reals5 = Annotated[Reals, Meta(min_length=5, max_length=5)]
-Reals10 = Annotated[Reals, Meta(min_length=10, max_length=10)]
-
-
-def about(meaning: str, unit: str = "") -> Meta:
-    """The meaning of a field in one line, and its unit ("" if it has none)."""
-    return Meta(description=meaning, extra={"unit": unit})
-
-
-class Route(NamedTuple):
-    """Where a message travels: key expression below the run's prefix, sender, receiver."""
-
-    key: str
-    sender: str
-    receiver: str
-
-
-# Without a garbage collector's header: what holds numbers, texts, bytes and tuples of them alone is in no circle.
-class WireRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """A MessagePack array of fields; a message is a record with a tag, which comes first in the array."""
-
-
-# --- host messages: the messages of a process that hosts several agents: theirs, many in one, and that one has ended
-
-
-class BundlePart(WireRecord, frozen=True):
-    """A message of, or for, one of several agents that share a process."""
-
-    vehicle: Annotated[Uint, about("vehicle number")]
-    message: Annotated[bytes, about("one that would travel on the agent's own key")]
-
-
-class Bundle(WireRecord, frozen=True, tag="bundle"):
-    """Messages of several agents that share a process, in one put. You never get it."""
-
-    route: ClassVar[Route] = Route(
-        "host/{h}, cmd/host-{h}, tx/host-{h}", "world and netem, host h", "host h, world, netem"
-    )
-
-    parts: Annotated[tuple[BundlePart, ...], about("those of one agent in their order")]
-
-
-class Ended(WireRecord, frozen=True, tag="ended"):
-    """One of several agents that share a process has ended; the others continue."""
-
-    route: ClassVar[Route] = Route("note/host-{h}", "host h", "console")
-
-    vehicle: Annotated[Uint, about("vehicle number")]
-    status: Annotated[Uint, about("with which a process of its own would have ended")]
-
+from netem.cause import Cause
+from netem.fault_kinds import WorldFaultKind
+from netem.wire.fields import (
+    Real,
+    Reals,
+    Reals2,
+    Reals3,
+    Reals5,
+    Reals10,
+    RealsTo2,
+    Route,
+    Text,
+    Uint,
+    WireRecord,
+    about,
+)
 
 PROTOCOL_VERSION = 2
 RUN_OVER = "the run is over"  # the reason of nearly every End
-
-
-# ------------------------------------------------------------------------------------------ records
 
 
 class Delivery(WireRecord, frozen=True):
@@ -217,7 +166,11 @@ class WorldFault(TimedFault, frozen=True):
         return not self.vehicles or i in self.vehicles
 
 
-# ------------------------------------------------------------------------------------------ messages
+class BundlePart(WireRecord, frozen=True):
+    """A message of, or for, one of several agents that share a process."""
+
+    vehicle: Annotated[Uint, about("vehicle number")]
+    message: Annotated[bytes, about("one that would travel on the agent's own key")]
 
 
 class Hello(WireRecord, frozen=True, tag="hello"):
@@ -397,6 +350,25 @@ class Note(WireRecord, frozen=True, tag="note"):
     subject: Annotated[Uint, about("vehicle concerned; 0 for none")]
     tick: Annotated[Uint, about("tick at which it was noticed", "tick")]
     text: Annotated[Text, about("one line")]
+
+
+class Bundle(WireRecord, frozen=True, tag="bundle"):
+    """Messages of several agents that share a process, in one put. You never get it."""
+
+    route: ClassVar[Route] = Route(
+        "host/{h}, cmd/host-{h}, tx/host-{h}", "world and netem, host h", "host h, world, netem"
+    )
+
+    parts: Annotated[tuple[BundlePart, ...], about("those of one agent in their order")]
+
+
+class Ended(WireRecord, frozen=True, tag="ended"):
+    """One of several agents that share a process has ended; the others continue."""
+
+    route: ClassVar[Route] = Route("note/host-{h}", "host h", "console")
+
+    vehicle: Annotated[Uint, about("vehicle number")]
+    status: Annotated[Uint, about("with which a process of its own would have ended")]
 
 
 Message = (

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Hashable
 from queue import Empty, SimpleQueue
-from threading import Lock
 from time import monotonic_ns
 from typing import Any
-
-from netem.limits import RELAY_WAITING
 
 
 class PutQueue:
@@ -53,47 +49,6 @@ class Quota:
     def release(self, key: str) -> None:
         """One that waited was taken out."""
         self._taken[key] += 1
-
-
-_MOST_KINDS = 1000  # of messages that did not fit, until they are taken
-
-
-class Inlet:
-    """The way of one sender into a queue that others use, too: what waits there is bounded, and what does not fit is
-    counted. Several threads let in, and one takes out.
-    """
-
-    def __init__(self, put: Callable[[Any], None]) -> None:
-        """`put`: of the queue. What needs no bounds may call it, too."""
-        self.put = put
-        self._lock = Lock()
-        self._waiting = self._bytes = 0
-        self._unfit: Counter[Hashable] = Counter()
-
-    def offer(self, item: Any, size: int, name: Callable[[], Hashable]) -> None:
-        """Put an item of `size` bytes, or count it by its name: too much waits."""
-        with self._lock:
-            if self._waiting and (self._waiting >= RELAY_WAITING.items or self._bytes + size > RELAY_WAITING.bytes):
-                what = name() if len(self._unfit) < _MOST_KINDS else None
-                self._unfit[what] += 1
-                return
-            self._waiting += 1
-            self._bytes += size
-            self.put(item)
-
-    def release(self, size: int) -> None:
-        """An item that waited was taken out."""
-        with self._lock:
-            self._waiting -= 1
-            self._bytes -= size
-
-    def unfit(self) -> Counter[Hashable]:
-        """What did not fit since the last call, by name; None counts those beyond the most names."""
-        if not self._unfit:
-            return Counter()
-        with self._lock:
-            found, self._unfit = self._unfit, Counter()
-        return found
 
 
 class Stamped:

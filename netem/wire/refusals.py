@@ -1,6 +1,9 @@
 """The logins that the router refuses, one line each, taken from zenoh's own log. The rest of that log is left out.
 
-Zenoh reports refusals only in its log, which it writes to stdout. Here stdout is a socket, and a thread reads it.
+Zenoh reports refusals only in its log, which it writes to stdout: `auth_identifier` of a link is empty for passwords.
+Here stdout is a socket, and a thread reads it. A pipe that does not block would lose lines, and a file would grow
+without end. Refused messages are not read. Zenoh reports them only at level trace, beside a line for every allowed
+message, which cost a tenth of the speed.
 
 If the socket's buffer is full, the thread that writes a line waits. Any thread of the router may write, even while it
 holds Python's lock. So the reader only reads and counts. Another thread sends the reports, because each report is a put
@@ -25,7 +28,7 @@ from netem.wire.session import log_zenoh
 log = logging.getLogger(__name__)
 
 LEVELS = "error,zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls::unicast=warn"
-MOST_KINDS = 200  # of refusals that are counted apart
+MOST_KINDS = 200  # kinds of refusals that are counted apart
 MOST_LINE = 1000  # bytes of a line that are looked at
 WRITE_S = 0.05
 BUFFER = 1 << 20  # bytes between zenoh and the reader

@@ -23,8 +23,7 @@ import zenoh
 from netem.errors import BusError
 from netem.limits import TOKENS
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
-from netem.wire.outlet import Outlet
-from netem.wire.queues import Inlet
+from netem.wire.robot_queues import Inlet, Outlet
 from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, client_settings, listening, opened, reason
 
 log = logging.getLogger(__name__)
@@ -79,7 +78,7 @@ class Ticket:
         """Tell who asked that there will be no more answers."""
         if self.query is not None:
             self.query.drop()
-            self.query = None  # with its payload
+            self.query = None  # the query also holds its payload
 
 
 class Token(NamedTuple):
@@ -96,8 +95,8 @@ class Unfit(NamedTuple):
     kind: str
     key: str
     size: int
-    to: int | None = None  # its only receiver; None: all neighbours
-    ticket: Ticket | None = None  # of a reply
+    to: int | None = None  # the only receiver; None: all neighbours
+    ticket: Ticket | None = None  # the query that a reply belongs to
 
 
 class Linked(NamedTuple):
@@ -131,7 +130,12 @@ def check_key(text: str) -> str:
 
 
 class Robot:
-    """The network of one robot. Threads of zenoh put what comes into its inlet."""
+    """The network of one robot.
+
+    Three threads call its methods. A thread of zenoh takes what comes and puts it into the inlet (`_heard` to
+    `_announced`). The thread of the relay asks `carries`. All that a slow program could hold up runs on the thread of
+    the outlet: `mirror`, `withdraw`, `ask` and `hand`.
+    """
 
     def __init__(self, access: RobotEndpoint, carry: Sequence[str], inlet: Inlet) -> None:
         """Open its session. Raises BusError: the address is in use, nobody answers there, or a file is no configuration
@@ -143,7 +147,6 @@ class Robot:
         self.placed: deque[tuple[str, bytes]] = deque(maxlen=1)  # key and message that say last where it is
         self._inlet, self._put = inlet, inlet.put
         self._session = _opened(access)
-        # The admin space of our router; one of others may have none.
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
@@ -183,14 +186,12 @@ class Robot:
         self.outlet.close()
         self._session.close()  # type: ignore[no-untyped-call]
 
-    # --- on a thread of zenoh
-
     def _heard(self, number: int, sample: Any) -> None:
         if self._takes(number, sample.key_expr):
             self._came(sample, len(sample.payload))
 
     def _asked(self, number: int, query: Any) -> None:
-        # Of a key that is served it comes a second time, to the queryable of that key.
+        # A query on a key that is served comes a second time, to the queryable of that key.
         if str(query.key_expr) not in self._served and self._takes(number, query.key_expr):
             self._came(query, len(query.payload or b""))
         else:
@@ -227,8 +228,6 @@ class Robot:
         if current_thread() is not self.outlet.thread:  # it is no token that we show or withdraw
             self._put(Token(self.number, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
-    # --- on the thread of the relay
-
     def carries(self, token: str) -> bool:
         """Whether others may see a token: that of a node of ROS, or of something whose key the network carries."""
         key = token
@@ -241,8 +240,6 @@ class Robot:
             return self._includes(zenoh.KeyExpr(key.partition("/@adv/")[0])) is not None
         except zenoh.ZError:
             return False
-
-    # --- on the thread of its outlet
 
     def mirror(self, token: str) -> None:
         """Show a token of another robot, and the service that it stands for, if there is room for it."""
@@ -291,7 +288,7 @@ class Robot:
         """Put a query of another robot to the programs of this one. Raises BusError: the session cannot send it."""
         query, number = ticket.query, self.number
         if query is None:
-            return  # it has ended
+            return  # the query has ended
 
         def replied(reply: Any) -> None:
             if reply.ok is None or self._includes(reply.ok.key_expr) is not None:
@@ -345,7 +342,7 @@ def answer(message: RobotMessage, payload: bytes) -> None:
     ticket, reply = message.what
     query = ticket.query
     if query is None:
-        return  # it has ended
+        return  # the query has ended
     try:
         if reply.ok is None:
             query.reply_err(payload, encoding=reply.err.encoding)

@@ -17,7 +17,7 @@ from netem.errors import BusError
 from netem.wire.open_bus import OpenBus, OpenPublication
 from netem.wire.session import OTHERS, UNIVERSAL, client_settings, listening, opened, reason
 
-# Of rmw_zenoh: a file of zenoh's settings, and single ones as "key=value;key=value".
+# The variables of rmw_zenoh: a file of zenoh's settings, and single ones as "key=value;key=value".
 SESSION_FILE, SETTINGS = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"
 _ROS: dict[str, Any] = {"timestamping/enabled": True, "transport/unicast/qos/enabled": True}
 _LEASE = {"transport/link/tx/lease": 10_000}  # as rmw_zenoh's

@@ -12,32 +12,17 @@ from typing import Any, Literal
 
 import zenoh
 
-from netem.files import write_whole
+from netem.whole_file import write_whole
 from netem.wire.credentials import LEASE_MS, Credentials, Listener
 from netem.wire.listening import socket_place
-
-# --- settings: zenoh's, for our sessions, as paths and values, with the reasons
-# * `transport/unicast/lowlatency` with QoS off: 20-40 % less per round trip; our messages have one priority.
-# * `transport/link/tx/lease` of one hour on loopback: with the default of 10 s a process that was only suspended loses
-#   its messages silently, and reconnects as if nothing had happened. A dead process shows by its exit and its closed
-#   socket. Between hosts somebody may pull a cable, and that closes no socket. There the lease is short, and
-#   `Bus.on_lost` reports its end.
-# * congestion control BLOCK and reliable: DROP loses messages silently. Grants limit the number of messages under way.
-# * scouting and the admin space are off: a run is a closed box. `scouting/delay` is off, too: otherwise a router waits
-#   half a second for other routers before its session is open.
-# * shared memory is off: our messages are far below its threshold, and it starts threads.
-# * `transport/link/rx/max_message_size`: with zenoh's default any client could make the world hold 1 GiB. Our messages
-#   fit into one piece. The router drops a longer message of several pieces, and cuts off a client that announces a
-#   longer piece. (Measured with 100 MB: the world grew by 200 MB before, and does not grow now.)
-# * one runtime thread instead of five pools: a process has few sessions, and the pools would wake each other (bare
-#   barrier, N = 4: 165 us per tick against 290). With `lowlatency` the calling thread sends. So a receive task that
-#   waits for a full channel does not delay a send.
-
 
 # A send that waits blocks its thread, and zenoh starts another one. If all 50 threads of zenoh's default wait, nothing
 # moves any more. This happened to a router of 1,000 vehicles on a busy machine. With more room it had up to 769.
 THREADS = 4096
 # ZENOH_RUNTIME, which zenoh reads when the first session of a process opens; it panics if that is malformed.
+# There is one thread instead of five pools: a process has few sessions, and the pools would wake each other (bare
+# barrier, N = 4: 165 us per tick against 290). With `lowlatency` the calling thread sends. So a receive task that waits
+# for a full channel does not delay a send.
 RUNTIME = (
     "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
     f"app: (worker_threads: 1, max_blocking_threads: {THREADS}))"
@@ -46,16 +31,28 @@ RUNTIME = (
 PIECE_BYTES = 65_535  # what zenoh sends in one piece, at most
 _TLS = "transport/link/tls"
 
+# Puts block and are reliable, which is zenoh's default for them: DROP loses messages silently. Grants limit the number
+# of messages under way.
 BASE: dict[str, Any] = {
+    # A run is a closed box.
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
+    "adminspace/enabled": False,
+    # Otherwise a router waits half a second for other routers before its session is open.
     "scouting/delay": 0,
+    # 20-40 % less per round trip; our messages have one priority.
     "transport/unicast/lowlatency": True,
     "transport/unicast/qos/enabled": False,
+    # One hour on loopback. With the default of 10 s a process that was only suspended loses its messages silently, and
+    # reconnects as if nothing had happened. A dead process shows by its exit and its closed socket. Between hosts
+    # somebody may pull a cable, and that closes no socket. There the lease is short, and `Bus.on_lost` reports its end.
     "transport/link/tx/lease": LEASE_MS,
+    # With zenoh's default any client could make the world hold 1 GiB. Our messages fit into one piece. The router drops
+    # a longer message of several pieces, and cuts off a client that announces a longer piece. (Measured with 100 MB:
+    # the world grew by 200 MB before, and does not grow now.)
     "transport/link/rx/max_message_size": PIECE_BYTES,
+    # Our messages are far below its threshold, and it starts threads.
     "transport/shared_memory/enabled": False,
-    "adminspace/enabled": False,
 }
 
 # Zenoh's own transport: it sends from a task of its own, and cuts long messages into pieces.
@@ -65,13 +62,13 @@ UNIVERSAL: dict[str, Any] = {"transport/unicast/lowlatency": False}
 # Zenoh drops longer messages without a word; a recorder counts those that are too long for a log.
 OTHERS = {"transport/link/rx/max_message_size": 256 << 20}
 
-# A connection that has not logged in holds one of so many places, for so long. All listeners share them.
+# A connection that has not logged in holds one of PENDING places, for PENDING_MS. All listeners share the places.
 PENDING = 1000
 PENDING_MS = 5000
 
 
 def router_settings(vehicles: int, lease_ms: int) -> dict[str, Any]:
-    """Of a router of a run with so many vehicles; without users and endpoints."""
+    """Settings of the router of a run with this number of vehicles; without users and endpoints."""
     return BASE | {
         "transport/link/tx/lease": lease_ms,
         # A fleet of 100 connects at once; zenoh refuses what exceeds this.
@@ -82,7 +79,7 @@ def router_settings(vehicles: int, lease_ms: int) -> dict[str, Any]:
 
 
 def client_settings(endpoints: list[str], credentials: Credentials | None, timeout_ms: int) -> dict[str, Any]:
-    """Of a session that joins a router."""
+    """Settings of a session that joins a router."""
     settings: dict[str, Any] = {
         "connect/endpoints": endpoints,
         "connect/timeout_ms": timeout_ms,
@@ -122,7 +119,7 @@ def server_tls(listener: Listener, *, mutual: bool) -> dict[str, Any]:
 
 
 def listening(endpoints: list[str]) -> dict[str, Any]:
-    """Of a router: where it listens, or fails at once."""
+    """Settings of a router: where it listens, or fails at once."""
     return {"listen/endpoints": endpoints, "listen/exit_on_failure": True, "listen/timeout_ms": 0}
 
 

@@ -2,9 +2,9 @@
 
 The sensors and actuators of a vehicle are not the network that a run is about, and zenoh takes six wake-ups for a round
 trip where a socket takes one. The messages are those of the wire protocol, byte for byte. The console makes a pair for
-each agent that it starts. The agent inherits one end, the world gets the other one, and nobody else has either, so the
-bus needs no password. Agents that somebody else starts, agents that share a process, and runs on a wall clock have the
-keys `nav` and `cmd` of zenoh in place of it.
+each agent that it starts. The agent inherits one end, the world gets the other one, and no other process has either, so
+the bus needs no password. Agents that somebody else starts, agents that share a process, and runs on a wall clock have
+the keys `nav` and `cmd` of zenoh in place of it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from netem.errors import BusError
 from netem.limits import WIRE_MESSAGE
 from netem.wire.queues import PutQueue
 
-_NUMBER_BYTES = 20  # of the agent whose end the console hands over
+_NUMBER_BYTES = 20  # length of an agent's number, before the end that the console hands over
 
 
 class Ends:
@@ -93,8 +93,8 @@ class Inbound:
         self._ready: deque[tuple[str, bytes]] = deque()
         self._puts: Queue[tuple[str, bytes]] = Queue(capacity)
         self._arrived = os.eventfd(0)
-        self._ends: dict[int, tuple[int, str, socket.socket]] = {}  # by descriptor
-        self._of: dict[int, socket.socket] = {}  # by agent
+        self._ends: dict[int, tuple[int, str, socket.socket]] = {}  # agents by the descriptor of their end
+        self._of: dict[int, socket.socket] = {}  # ends by agent
         self._control, self._key = control, key
         self._epoll.register(self._arrived, select.EPOLLIN)
         self._epoll.register(control, select.EPOLLIN)
@@ -143,7 +143,7 @@ class Inbound:
                     ready.append(self._puts.get())
             elif descriptor == self._control.fileno():
                 self._take_ends()
-            # Else it is an end that a new one has replaced since this batch of events was read.
+            # Any other descriptor is an end that a new one has replaced since this batch of events was read.
 
     def _take_ends(self) -> None:
         number, descriptors, _, _ = socket.recv_fds(self._control, _NUMBER_BYTES, 1)
@@ -176,7 +176,7 @@ def _send(end: socket.socket, data: bytes) -> None:
         raise BusError(f"a message of {len(data)} bytes on the bus of a vehicle: it carries {WIRE_MESSAGE.bytes}")
     try:
         end.send(data)
-    except OSError as error:  # also of one that another thread has just closed
+    except OSError as error:  # another thread may just have closed it
         if error.errno == errno.EMSGSIZE:
             raise BusError(
                 f"a message of {len(data)} bytes is longer than the buffer of the bus of a vehicle: raise "

@@ -19,13 +19,15 @@ from repository import GOLDEN
 from agents.agent import Agent
 from agents.api import NeighbourState, Sample, VelocityCommand
 from agents.codecs import FullCodec
-from agents.config import Neighbour, Offset
+from agents.config import Neighbour
 from agents.controllers import CONTROLLERS
 from agents.errors import AgentError, ControllerError, PayloadError
+from agents.laws.angles import RateFilter, wrap
 from agents.laws.backstepping import NeurodynamicTracking, shunting_step
-from agents.laws.kinematics import RateFilter, earth_velocity, flow_angles, wrap
+from agents.laws.kinematics import earth_velocity, flow_angles
 from agents.laws.velocity_command import clip, consensus_error, direction_command, floor_speed, slew
 from agents.neighbours import NeighbourTable
+from agents.offset import Offset
 from agents.payload import SIZE, StateMessage, decode, encode
 from agents.profiles import PROFILES, profile
 from agents.trajectory import Motion

@@ -12,8 +12,8 @@ from loops import Nav, agent_config
 from marks import slow
 from repository import ROOT
 
-from agents.config import Offset
 from agents.laws.kinematics import earth_velocity
+from agents.offset import Offset
 from agents.sample import Sample, VelocityCommand
 from agents.trajectory import Motion
 from fleet.addons.templates import agent, controller, tracking

@@ -12,9 +12,10 @@ from marks import slow
 
 from agents.agent import Agent, followed
 from agents.api import NeighbourState
-from agents.config import AgentConfig, Offset, OffsetChange
+from agents.config import AgentConfig
+from agents.offset import Offset, OffsetChange
 from agents.payload import StateMessage, encode
-from fleet.analysis.preflight import may_draw
+from fleet.analysis.randomness import may_draw
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.repeat.resume import continuation

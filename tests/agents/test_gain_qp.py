@@ -19,16 +19,8 @@ from repository import GOLDEN
 from samples import samples
 
 from agents.config import GuidanceParams
-from agents.laws.guidance import (
-    FIXED_RANGE,
-    REFUSED,
-    GainProblem,
-    NoSolution,
-    OptimalGuidance,
-    Solution,
-    build_qp,
-    solve,
-)
+from agents.laws.gain_qp import FIXED_RANGE, GainProblem, NoSolution, Solution, build_qp, solve
+from agents.laws.guidance import REFUSED, OptimalGuidance
 from agents.profiles import PROFILES, profile
 from agents.sample import Sample
 from agents.trajectory import Motion

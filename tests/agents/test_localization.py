@@ -20,7 +20,9 @@ from agents.api import FormationAgent
 from agents.config import AgentConfig, LocalizationParams, Method
 from agents.errors import PayloadError
 from agents.localization import payload
-from agents.localization.localizer import Localizer, MirrorImage, PlaceEstimate, fused, grown
+from agents.localization.localizer import Localizer
+from agents.localization.mirror_image import MirrorImage, PlaceEstimate
+from agents.localization.range_fusion import fused, grown
 from agents.payload import StateMessage
 from netem.wire.messages import Delivery, Nav
 

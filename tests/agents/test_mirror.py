@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.localization.localizer import Covariance, Fused, MirrorImage, PlaceEstimate, distance, fused
+from agents.localization.mirror_image import MirrorImage, PlaceEstimate, distance
+from agents.localization.range_fusion import Covariance, Fused, fused
 
 TRUE, NAVIGATOR = (3.0, 25.0), PlaceEstimate((0.0, -22.0), (625.0, 0.0, 625.0))
 SURE: Covariance = (0.25, 0.0, 0.25)

@@ -7,8 +7,8 @@ from typing import Any
 from small_scenario import small
 
 from agents.agent import Agent
-from agents.controllers import HEARD
 from agents.payload import StateMessage, decode, encode
+from agents.signals import HEARD
 from netem.wire.messages import Delivery, Nav
 
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from loops import agent_config
 
 from agents.codecs import FullCodec
-from agents.config import AgentConfig, Neighbour, Offset, OffsetChange
+from agents.config import AgentConfig, Neighbour
 from agents.neighbours import NeighbourTable
+from agents.offset import Offset, OffsetChange
 from agents.payload import StateMessage, encode
 from agents.trajectory import Circle, Path, PathError, Reference, StraightLine
 from netem.wire.messages import Delivery

@@ -21,10 +21,9 @@ import fleet
 from fleet import addon
 from fleet.addon import AddOn, Verb
 from fleet.cli import verbs
-from fleet.cli.companion import Beside, Companion
+from fleet.cli.companion import Beside, Companion, Companions
 from fleet.cli.declare import command
 from fleet.cli.group import command_of
-from fleet.cli.run import Companions
 from fleet.errors import ScenarioError
 from fleet.execution.options import Options
 from fleet.logs.other import OtherData

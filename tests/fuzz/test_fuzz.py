@@ -56,7 +56,7 @@ from netem.process import NetemProcess
 from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.rounds import Rounds
-from netem.wire.bus import PART_BYTES, Bus
+from netem.wire.bus import Bus
 from netem.wire.codec import decode, encode
 from netem.wire.keys import Keys
 from netem.wire.mailbox import Item
@@ -74,6 +74,7 @@ from netem.wire.messages import (
     Transmission,
 )
 from netem.wire.messages import Pace as Begins
+from netem.wire.parts import PART_BYTES
 from world.lockstep import Lockstep
 from world.process import WorldProcess
 from world.realtime_process import RealtimeWorldProcess

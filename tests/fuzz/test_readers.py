@@ -32,9 +32,9 @@ from fleet.logs.reader import LogReader
 from fleet.replay.observed import read_observed
 from fleet.result.file import read_result
 from fleet.scenario.loading import load_scenario
-from fleet.scenario.sections.link_conditions import read_trace
 from fleet.scenario.sections.modem_files import load_modem
-from fleet.scenario.sections.per_vehicle import load_vehicle
+from fleet.scenario.sections.trace_table import read_trace
+from fleet.scenario.sections.vehicle_files import load_vehicle
 from netem.errors import NetemError
 from netem.wire.messages import PROTOCOL_VERSION
 

@@ -23,7 +23,8 @@ from tool import invoke
 from fleet.analysis.stability import oldest_s
 from fleet.errors import ScenarioError
 from fleet.result.file import ResultError, read_result
-from fleet.scenario.loading import _everywhere, parse_scenario
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.validation import _everywhere
 from netem.lives import Absence, Lives
 
 PAPER = (ROOT / "fleet" / "scenario" / "shipped" / "paper.yaml").read_text("utf-8")

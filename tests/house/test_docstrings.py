@@ -5,6 +5,9 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from importlib import import_module
+from inspect import cleandoc, isclass, isfunction, signature, unwrap
+from types import FunctionType, ModuleType
 
 import pytest
 from repository import MODULES, ROOT, tree
@@ -68,3 +71,44 @@ def test_entries_name_arguments_and_have_their_place() -> None:
 )
 def test_a_stray_entry_is_found(docstring: str, expected: list[str]) -> None:
     assert wrong(ast.parse(f'def do(a, b):\n    """{docstring}    """\n')) == expected
+
+
+INTERFACES = ("agents.api", "fleet", "fleet.checks.api", "world.api")
+
+
+def functions_of(interface: ModuleType) -> Iterator[tuple[str, FunctionType]]:
+    """The functions that an interface exports, and the methods of its classes that have a docstring."""
+    for name in interface.__all__:
+        exported = getattr(interface, name)
+        members = {name: exported} if isfunction(exported) else {}
+        if isclass(exported):
+            public = ((key, each) for key, each in vars(exported).items() if key == "__init__" or key[0] != "_")
+            members = {f"{name}.{key}": getattr(each, "fget", None) or unwrap(each) for key, each in public}
+        made_elsewhere = ("Log.__init__",)
+        members = {full: each for full, each in members.items() if full not in made_elsewhere}
+        yield from ((full, each) for full, each in members.items() if isfunction(each) and each.__doc__)
+
+
+def unsaid(interface: ModuleType) -> list[str]:
+    """`function: argument` for each argument without an entry, and `function: Returns` if that section is missing."""
+    found = []
+    for full, function in functions_of(interface):
+        text, asked = cleandoc(function.__doc__ or ""), signature(function)
+        arguments = set(asked.parameters) - {"self", "cls", "unknown"}  # the last one takes what is refused
+        found += [f"{full}: {name}" for name in sorted(arguments - set(entries(text)))]
+        # A property, or a method that asks for nothing, says what it is in its sentence.
+        if arguments and asked.return_annotation not in ("None", None) and "\nReturns:\n" not in text:
+            found.append(f"{full}: Returns")
+    return found
+
+
+@pytest.mark.parametrize("interface", INTERFACES)
+def test_interfaces_say_every_argument_and_result(interface: str) -> None:
+    """Attributes have a comment at their field instead."""
+    assert unsaid(import_module(interface)) == []
+
+
+def test_an_argument_without_words_is_found() -> None:
+    interface = ModuleType("interface")
+    exec('def do(a: int) -> int:\n    """Do."""\n__all__ = ["do"]', vars(interface))
+    assert unsaid(interface) == ["do: a", "do: Returns"]

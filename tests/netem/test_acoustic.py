@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from msgspec.structs import astuple
 
 from netem.acoustic import AcousticChannel
+from netem.cause import LOSSES, Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.fault_kinds import LOSSES, Cause
+from netem.curve import Curve
 from netem.faults import NetFault
 from netem.ledger import Ledger
-from netem.medium import Links
-from netem.modem import AcousticConfig, Curve, Modem
+from netem.links import Links
+from netem.modem import AcousticConfig, Modem
 from netem.network import Netem, fate_order
 from netem.rounds import Rounds
 from netem.transit import Transit

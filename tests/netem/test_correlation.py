@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem.condition import Condition, GilbertElliott, effective, share_below
+from netem.condition import Condition, GilbertElliott
+from netem.correlation import effective, share_below
 from netem.impairment import LinkModel
 
 PACKETS = 100_000

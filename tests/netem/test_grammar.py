@@ -10,7 +10,8 @@ from refusals import check_refusals
 
 from netem.condition import Condition, FourState, GilbertElliott
 from netem.errors import NetemError, TextError
-from netem.grammar import REFUSED, Selector, parse_condition, parse_selector, print_condition, select, with_word
+from netem.grammar import REFUSED, parse_condition, print_condition, with_word
+from netem.link_selector import Selector, parse_selector, select
 from netem.parsing import exact_number
 
 

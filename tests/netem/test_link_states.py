@@ -11,13 +11,14 @@ from any_condition import link_states
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem.condition import Condition, FourState, GilbertElliott, lost_share
+from netem.condition import Condition, FourState, GilbertElliott
 from netem.config import NetemConfig
+from netem.correlation import lost_share
 from netem.faults import NO_FAULTS, NetFault, active_faults
 from netem.impairment import LinkModel
 from netem.link_states import LinkStates, StateProcess, stationary
 from netem.link_trace import DOWN, LinkTrace, TraceProcess
-from netem.medium import make_links
+from netem.links import make_links
 
 SECOND = 10**9
 PACKETS = 100_000

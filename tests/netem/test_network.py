@@ -14,20 +14,20 @@ from hypothesis import strategies as st
 from msgspec.structs import astuple
 from samples import samples
 
+from netem.cause import Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
 from netem.draws import normal, uniform
 from netem.errors import OutOfPlace
-from netem.fault_kinds import Cause
 from netem.faults import NetFault
 from netem.ledger import Ledger
 from netem.link_states import LinkStates
 from netem.link_trace import LinkTrace
 from netem.network import Netem
 from netem.rounds import Rounds
-from netem.wire.bus import split
 from netem.wire.codec import decode, encode
 from netem.wire.messages import Fate, LinkReport, Round, Transmission
+from netem.wire.parts import split
 
 TICK_NS = 10_000_000
 ALL_LINKS: tuple[Link, ...] = tuple((j, i) for j in (1, 2, 3) for i in (1, 2, 3) if i != j)

@@ -10,7 +10,8 @@ import msgspec
 import pytest
 from refusals import check_refusals
 
-from netem.files import DamagedFile, ExposedFile, parse_json, read_private, whole_file, write_whole
+from netem.files import DamagedFile, ExposedFile, parse_json, read_private
+from netem.whole_file import whole_file, write_whole
 
 
 class Known(msgspec.Struct):

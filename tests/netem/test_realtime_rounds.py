@@ -19,8 +19,9 @@ from netem.histogram import Histogram
 from netem.realtime_process import RealtimeNetemProcess
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.codec import decode, encode
+from netem.wire.control import request
 from netem.wire.keys import Keys
-from netem.wire.mailbox import Item, request
+from netem.wire.mailbox import Item
 from netem.wire.messages import Arrival, Delivery, LinkReport, Pace, Receipt, Round, Transmission
 
 KEYS = Keys("5ea")

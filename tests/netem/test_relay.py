@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 import netem.relay
+from netem.cause import Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
 from netem.faults import NetFault
 from netem.limits import LINK_UNDER_WAY
 from netem.modem import AcousticConfig, Modem

@@ -18,14 +18,13 @@ from hypothesis import strategies as st
 from waiting import wait_for
 
 from netem import relay_process
+from netem.cause import Cause
 from netem.config import NetemConfig
-from netem.fault_kinds import Cause
 from netem.limits import RELAY_WAITING, ROBOT_WAITING
 from netem.relay import DATAGRAM, PUT, MessageFate, RobotMessage
 from netem.relay_process import Port, RelayProcess, RelayReport, Setup
-from netem.wire import queues
-from netem.wire.outlet import Outlet
-from netem.wire.queues import Inlet
+from netem.wire import robot_queues
+from netem.wire.robot_queues import Inlet, Outlet
 from netem.wire.robots import RobotEndpoint, Token, Unfit
 
 LIMIT_S = 60.0
@@ -133,7 +132,7 @@ def test_what_waits_for_a_relay_that_is_behind_is_bounded_and_its_sender_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A flood of one robot takes no room from another one."""
-    monkeypatch.setattr(queues, "RELAY_WAITING", RELAY_WAITING._replace(items=10))
+    monkeypatch.setattr(robot_queues, "RELAY_WAITING", RELAY_WAITING._replace(items=10))
     goes, reads = Event(), Event()
 
     def read(item: Any) -> Any:

@@ -16,9 +16,9 @@ from waiting import wait_for
 from netem.errors import BusError
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
+from netem.wire.control import request
 from netem.wire.credentials import CONSOLE, OPERATOR, Credentials, generate
 from netem.wire.keys import Keys
-from netem.wire.mailbox import request
 from netem.wire.messages import Command, Hello, Note
 
 SCENARIO = ["duration=1 s", "checks={}"]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.logs.decoder import Decoder
-from fleet.logs.deviation import besides_messages, difference, side
+from fleet.logs.difference import besides_messages, difference, side
 from fleet.logs.reader import LogReader, Record
 
 

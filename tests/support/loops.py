@@ -11,13 +11,15 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from agents.agent import Agent
-from agents.config import AgentConfig, Extrapolation, Law, Neighbour, Offset
+from agents.config import AgentConfig, Extrapolation, Law, Neighbour
 from agents.controllers import CONTROLLERS
+from agents.offset import Offset
 from agents.profiles import profile
 from agents.trajectory import StraightLine
-from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleParams, VehicleSetup, WorldConfig
+from world.config import DEFAULT_SUBSTEPS, Harmonic, VehicleSetup, WorldConfig
 from world.sea import World
 from world.vectors import Vec3, Vec5, minus
+from world.vehicle_params import VehicleParams
 
 TICK_NS = 10_000_000
 OFFSETS: tuple[Vec3, ...] = ((0.0, 0.0, 0.0), (0.0, -10.0, 0.0), (10.0, -10.0, 0.0), (10.0, 0.0, 0.0))

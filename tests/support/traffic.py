@@ -14,7 +14,7 @@ from waiting import wait_for
 
 from fleet.logs.reader import LogReader, LogReadError, Record
 from fleet.logs.seekable_log import SeekableLog
-from fleet.processes.limits import free_port
+from fleet.processes.ports import free_port
 from netem.wire.open_bus import OpenBus, ZenohSample, place_of, sample_of
 
 LIMIT_S = 60.0  # for a machine that does other things at the same time

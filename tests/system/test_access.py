@@ -26,12 +26,12 @@ from in_process_runs import recorded
 from live import LiveRun
 from waiting import wait_for
 
-import fleet.execution.supervisor
+import fleet.execution.launch
 import netem.wire.bus
 import netem.wire.credentials
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader
-from fleet.processes.children import RunFolder
+from fleet.processes.run_folder import RunFolder
 from fleet.result.result import Status
 from netem.errors import BusError
 from netem.wire.bus import Bus, Respond
@@ -465,7 +465,7 @@ def test_no_secret_is_left_lying_about(tmp_path: Path, monkeypatch: pytest.Monke
             exposed.extend(f"{path}: {text!r}" for secret in secrets if secret in text)
 
     monkeypatch.setattr(tempfile, "mkdtemp", make_and_remember)
-    monkeypatch.setattr(fleet.execution.supervisor, "generate", remember)
+    monkeypatch.setattr(fleet.execution.launch, "generate", remember)
     monkeypatch.setattr(RunDirectory, "write_connection", look_round)
     out = tmp_path / "runs"
     result = recorded(out, "paper", "duration=1 s", "checks={}", in_process=False)

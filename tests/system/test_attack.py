@@ -19,7 +19,7 @@ from free_ports import free_port
 from in_process_runs import Alone, log_of, recorded
 from waiting import wait_for
 
-import fleet.execution.supervisor
+import fleet.execution.launch
 from fleet.execution.directory import RunDirectory
 from fleet.logs.reader import LogReader
 from fleet.result.result import Result, Status
@@ -47,7 +47,7 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Attack, Result]:
 
     before = os.umask(0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fleet.execution.supervisor, "generate", attack.generate)
+        patch.setattr(fleet.execution.launch, "generate", attack.generate)
         patch.setattr(RunDirectory, "write_connection", write_and_attack)
         try:
             result = recorded(tmp_path_factory.mktemp("attacked"), "paper", *SCENARIO, in_process=False)
@@ -134,7 +134,7 @@ def test_a_flood_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         threads.append(threading.Thread(target=flood, daemon=True))
         threads[0].start()
 
-    monkeypatch.setattr(fleet.execution.supervisor, "generate", attack.generate)
+    monkeypatch.setattr(fleet.execution.launch, "generate", attack.generate)
     monkeypatch.setattr(RunDirectory, "write_connection", write_and_flood)
     try:
         flooded = recorded(tmp_path / "a", "paper", *SHORT, in_process=False)

@@ -20,7 +20,7 @@ from spawned import fleet as fleet_process
 
 import agents.make_agent
 import fleet.execution.in_process
-import fleet.execution.supervisor
+import fleet.execution.launch
 from agents.controllers import TRACKING
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.directory import RunDirectory
@@ -133,7 +133,7 @@ class Intruder:
         self._over = Event()
         self._thread: Thread | None = None
         self.rounds = 0
-        generate, write = fleet.execution.supervisor.generate, RunDirectory.write_connection
+        generate, write = fleet.execution.launch.generate, RunDirectory.write_connection
 
         def generate_and_leak(vehicles: tuple[int, ...], **more: Any) -> dict[str, Credentials]:
             self._credentials = generate(vehicles, **more)
@@ -154,7 +154,7 @@ class Intruder:
             return granted
 
         self._seen = 0
-        patch.setattr(fleet.execution.supervisor, "generate", generate_and_leak)
+        patch.setattr(fleet.execution.launch, "generate", generate_and_leak)
         patch.setattr(RunDirectory, "write_connection", write_and_join)
         patch.setattr(GrantPolicy, "until", grant_later)
 

@@ -26,8 +26,7 @@ PLAIN = (
     "agents/test_own_samples.py", "agents/test_trust.py", "netem/test_acoustic.py", "netem/test_correlation.py",
     "netem/test_fading.py", "netem/test_grammar.py", "netem/test_private_file.py", "netem/test_propagation.py",
     "netem/wire/test_refusals.py", "netem/wire/test_certificate_router.py", "netem/wire/test_messages.py",
-    "world/navigation/test_leaks.py", "world/plants/test_bluerov2.py", "world/plants/test_fmu.py",
-    "world/plants/test_fmu_archive.py", "world/plants/test_remus100.py",
+    "world/navigation/test_leaks.py", "world/plants/test_bluerov2.py", "world/plants/test_remus100.py",
 )  # fmt: skip
 # A law that fails at a tick, so that the line of its file has to be told.
 FAILING = """\

@@ -21,7 +21,7 @@ from waiting import wait_for
 
 from fleet.errors import FleetError
 from fleet.result.result import Result, Status
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 SHARED = "agents.per_process=3"  # of four: two and two
 KILLED = "faults=[{at: 1 s, kill: '2, 7'}]"

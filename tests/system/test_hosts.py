@@ -30,10 +30,11 @@ from fleet.addons.hosts.rendezvous import read_credentials, run_id, through_rout
 from fleet.errors import FleetError
 from fleet.execution.connection import ask, find
 from netem.errors import BusError
-from netem.wire.bus import Bus, never_linger
+from netem.wire.bus import Bus
 from netem.wire.codec import decode
 from netem.wire.credentials import Credentials, Listener, generate
 from netem.wire.keys import Keys
+from netem.wire.linger import never_linger
 from netem.wire.messages import End
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")

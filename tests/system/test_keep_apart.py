@@ -15,7 +15,7 @@ from repository import ROOT
 import fleet
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.result.result import Status
 from fleet.scenario.loading import parse_scenario
 

@@ -21,7 +21,7 @@ from fleet.execution.connection import RemoteError
 from fleet.repeat.verify import verify
 from fleet.result.file import read_result
 from fleet.result.result import Status
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 SLEEPER = """
     from time import sleep

@@ -21,9 +21,10 @@ from live import LiveRun
 from spawned import fleet as fleet_process
 from waiting import wait_for
 
-import fleet.execution.supervisor
+import fleet.execution.launch
 from fleet.execution.directory import RunDirectory
-from fleet.processes.children import Children, Exit, RunFolder
+from fleet.processes.children import Children, Exit
+from fleet.processes.run_folder import RunFolder
 from fleet.result.result import Result, Status
 from netem.wire.bus import Bus
 from netem.wire.credentials import Credentials
@@ -45,7 +46,7 @@ def attacked(attack: Callable[[Attack, Keys, str], None], patch: pytest.MonkeyPa
         thief.wait_until_up(keys, values["endpoint"])
         attack(thief, keys, values["endpoint"])
 
-    patch.setattr(fleet.execution.supervisor, "generate", thief.generate)
+    patch.setattr(fleet.execution.launch, "generate", thief.generate)
     patch.setattr(RunDirectory, "write_connection", write_and_attack)
     try:
         return recorded(out, "paper", *SCENARIO, in_process=False)

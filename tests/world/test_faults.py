@@ -13,7 +13,7 @@ from small_scenario import small
 from fleet.scenario.loading import parse_scenario
 from netem.wire.codec import decode, encode
 from netem.wire.messages import WorldFault, WorldFaults
-from world.current import GaussMarkov, gust
+from world.disturbance import GaussMarkov, gust
 from world.sea import World
 
 KINDS = {

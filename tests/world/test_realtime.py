@@ -25,8 +25,7 @@ from netem.errors import OutOfPlace
 from netem.realtime_rounds import RealtimeRounds
 from netem.wire.messages import Command, Nav, Receipt, Round, Transmission
 from world.lockstep import NavTo
-from world.realtime import RealtimeRun
-from world.tick_schedule import TickSchedule
+from world.realtime import RealtimeRun, TickSchedule
 
 SIZE = SHORT.layout(1).size
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Command, Nav, Round
 from world.lockstep import Lockstep, NavTo
-from world.process import Turns
+from world.turns import Turns
 
 # Suspended vehicles pass ticks without being asked, so they are ahead of the others when they go on.
 SCENARIO = load_scenario(

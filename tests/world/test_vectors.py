@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from world.config import PlantSetup
-from world.plugins.checks import in_library
+from world.plugins.error_place import in_library
 from world.plugins.fence import numbers_of
 from world.tumble import HYSTERESIS_RAD, LIMIT_RAD, tumbles
 from world.vectors import ZERO, Vec3, dot, minus, moved, perpendicular, plus, scale

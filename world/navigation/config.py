@@ -5,34 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from netem.draws import normal, uniform
-from netem.fault_kinds import WorldFaultKind
-from netem.wire.messages import WorldFault
 from world.vectors import Vec3
-
-# --- instrument faults
-# Faults of instruments and fixes: samples that are lost, biased, or jump.
-
-KINDS = (WorldFaultKind.DVL, WorldFaultKind.COMPASS, WorldFaultKind.FIX)
-
-
-def lost(fault: WorldFault, seed: int, i: int, tick: int, source: int = 0) -> bool:
-    """Whether a fault takes the sample of a tick; the probability is the first of its numbers."""
-    chance = fault.values[0]
-    return chance >= 1.0 or (chance > 0.0 and uniform(seed, _purpose(fault, "lost"), i, tick, source) < chance)
-
-
-def jumps(fault: WorldFault, seed: int, i: int, tick: int, axes: int, source: int = 0) -> list[float]:
-    """How far off a fault puts the sample of a tick on each axis; its last two numbers are sigma and probability."""
-    sigma, chance = fault.values[-2:]
-    if sigma == 0.0 or (chance < 1.0 and uniform(seed, _purpose(fault, "jumps"), i, tick, source) >= chance):
-        return [0.0] * axes
-    return [sigma * normal(seed, _purpose(fault, "jump"), i, tick, source, axis) for axis in range(axes)]
-
-
-def _purpose(fault: WorldFault, what: str) -> str:
-    return f"fault {fault.id} {what}"
-
 
 FixKind = Literal["gps", "usbl", "lbl"]
 
@@ -43,18 +16,18 @@ class Grade:
 
     heading_rate: float  # samples per second [Hz], as of each instrument
     heading_bias: float  # rad
-    heading_noise: float  # of each sample [rad]
+    heading_noise: float  # noise of each sample [rad]
     heading_walk: float  # random walk of the bias [rad/sqrt(s)]
     gyro_rate: float
     gyro_bias: float  # rad/s
     gyro_walk: float  # angle random walk [rad/sqrt(s)]
     dvl_rate: float
     dvl_scale: float  # 1
-    dvl_noise: float  # of each sample and axis [m/s]
+    dvl_noise: float  # noise of each sample and axis [m/s]
     dvl_altitude: float  # above the floor, up to which it sees the floor [m]
     depth_rate: float
     depth_bias: float  # m
-    depth_noise: float  # of each sample [m]
+    depth_noise: float  # noise of each sample [m]
     tilt: float  # constant error of roll and pitch [rad]
 
 
@@ -67,10 +40,10 @@ class FixSource:
     delay_ns: int  # from measurement to use
     loss: float  # probability
     noise: float  # standard deviation on each axis [m], next to the beacon
-    growth: float  # and what comes to it per distance [1], as a root of squares
+    growth: float  # how much the noise grows per distance [1], as a root of squares
     at: Vec3 = (0.0, 0.0, 0.0)  # the beacon, or the middle of the beacons [m, NED]
     reach: float = 0.0  # greatest distance to it [m]; 0: any
-    depth: float = 0.0  # of gps: below it there is none [m]
+    depth: float = 0.0  # gps: deeper than this there is no fix [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +53,8 @@ class DeadReckoning:
     grade: Grade
     start: float  # standard deviation of the position on each axis at the start [m]
     bottom: float | None  # depth of the floor [m]; None: the DVL always sees it
-    current_sigma: float  # what the filter expects of a current [m/s]: a Gauss-Markov process,
-    current_time_s: float  # and its time constant [s]
+    current_sigma: float  # the current that the filter expects, a Gauss-Markov process: standard deviation [m/s]
+    current_time_s: float  # time constant of that process [s]
     fixes: tuple[FixSource, ...] = ()
 
 

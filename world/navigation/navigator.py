@@ -9,8 +9,7 @@ from netem.draws import normal
 from netem.wire.messages import Fix, WorldFault
 from world.navigation.config import DeadReckoning
 from world.navigation.filter import BOTTOM, CE, CN, LOST, PSI, WATER, E, N, NavigationFilter, S
-from world.navigation.fixes import Fixes
-from world.navigation.instruments import PURPOSE, Instruments
+from world.navigation.instruments import PURPOSE, Fixes, Instruments
 from world.vectors import Vec3, Vec5
 
 # x, y, z [m, NED], theta, psi [rad], u, v, w [m/s, body, over ground], q, r [rad/s]
@@ -34,7 +33,7 @@ class Navigator:
         self.filter: NavigationFilter
         self._tick: int = 0
         self._current: Vec3 = (0.0, 0.0, 0.0)
-        self._tell: list[Fix] = []  # fixes that nobody has asked for yet
+        self._tell: list[Fix] = []  # fixes that `take_fixes` has not given out yet
         self.begin(0, state)
 
     def begin(self, tick: int, state: State) -> None:
@@ -119,7 +118,7 @@ class Navigator:
         return eta, nu, (roll[0] + lean, roll[1] + p) if roll else ()
 
     def covariance(self) -> tuple[float, ...]:
-        """Of x, y, z and psi, since the last sample: the upper triangle, row by row [m^2, m rad, rad^2]."""
+        """The covariance of x, y, z and psi, since the last sample: upper triangle, row by row [m^2, m rad, rad^2]."""
         p = self.filter.p
         depth = self._instruments.depth_sigma() ** 2
         return (p[N][N], p[N][E], 0.0, p[N][PSI], p[E][E], 0.0, p[E][PSI], depth, 0.0, p[PSI][PSI])

@@ -43,7 +43,7 @@ HORIZONTAL: Vec3 = (
 )  # |x|, |y|, z of the horizontal thrusters [m, body]: below the centre of gravity
 VERTICAL = (0.12, 0.218)  # |x|, |y| of the vertical ones, at the height of the centre of gravity [m, body]
 ANGLE = pi / 4.0  # between the horizontal thrusters and the axis x [rad]
-THRUST_MAX = 30.4  # of each, ahead and astern [N]: the T200's curve at full voltage, equation (18)
+THRUST_MAX = 30.4  # thrust of each, ahead and astern [N]: the T200's curve at full voltage, equation (18)
 # The thrusters answer with (6136 s + 108700) / (s^3 + 89 s^2 + 9258 s + 108700), equation (19). A lag of first order
 # with the same mean delay, (9258 - 6136) / 108700, takes its place: it gives the same speed after a tenth of a second.
 T_THRUSTER = (9258.0 - 6136.0) / 108700.0  # 0.0287 [s]

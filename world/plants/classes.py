@@ -22,7 +22,7 @@ METHODS: dict[str, tuple[str, ...]] = {
     "pose": ("state",),
     "velocity": ("state",),
 }
-_TAKEN = frozenset(("phi", "p"))  # what every plant has besides what it reports
+_TAKEN = frozenset(("phi", "p"))  # signals that every plant has besides its own
 
 
 def plant_class(name: str, parameters: Mapping[str, Any]) -> type[Any]:

@@ -66,7 +66,7 @@ class FencedPlant:
         if not numbers or len(numbers) > MAX_NUMBERS:
             text = f"returned the state {shown(state)}: expected 1 to {MAX_NUMBERS} numbers"
             raise fence.wrong(tick, plant.start, text)
-        self.state = (0.0,) * len(numbers)  # by which the next states are measured
+        self.state = (0.0,) * len(numbers)  # the next states must be as long as this one
         self._take(tick, plant.start, fence.call(tick, self._observed, numbers))
         if any(abs(a - b) > _TOLERANCE for a, b in zip(self.pose, pose, strict=True)):
             text = (

@@ -38,7 +38,7 @@ K_PP = -0.130
 M_WW, M_QQ, M_UW, M_UQ, M_VP, M_RP = 3.18, -188.0, 24.0, -2.0, -1.93, 4.86
 N_VV, N_RR, N_UV, N_UR, N_WP, N_PQ = -3.18, -94.0, -24.0, -2.0, -1.93, -4.86
 FIN_FORCE = 9.64  # over u^2 and angle, of rudder and stern plane alike [kg/m/rad]
-FIN_MOMENT = 6.15  # likewise [kg/rad]
+FIN_MOMENT = 6.15  # moment over u^2 and angle, likewise [kg/rad]
 
 
 def forces(nu_r: Vec6, rudder: float, stern: float) -> Vec6:

@@ -23,7 +23,7 @@ from typing import NamedTuple
 from world.dynamics import NEAR_VERTICAL, turn_per_yaw
 from world.vectors import Vec3, Vec6
 
-Rotation = tuple[Vec3, Vec3, Vec3]  # its rows: north, east, down in body axes
+Rotation = tuple[Vec3, Vec3, Vec3]  # the rows are north, east, down in body axes
 
 
 class SixDegrees:

@@ -21,7 +21,8 @@ from types import FrameType
 from typing import Any
 
 from world.errors import FmuError
-from world.plugins.checks import MAX_NUMBERS, in_library, place_of, place_of_line, place_of_method, words_of
+from world.plugins.checks import MAX_NUMBERS
+from world.plugins.error_place import in_library, place_of, place_of_line, place_of_method, words_of
 from world.signal import Signal
 from world.vectors import Vec3
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from world.errors import PluginError
-from world.plugins.checks import article, place_of, shown_path, words_of
+from world.plugins.checks import article
+from world.plugins.error_place import place_of, shown_path, words_of
 from world.plugins.trust import ONLY_INSTALLED, Permission, permit, permit_file, permitted_file
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def _module_name(kind: str, name: str) -> str:
     module_name, _, class_name = name.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), class_name)):
         raise PluginError(kind, name, "expected package.module:Class")
-    if not name.isascii():  # it also names the message in the log
+    if not name.isascii():  # a message in the log gets the name of the class
         raise PluginError(kind, name, "expected package.module:Class", "in a-z, A-Z, digits and _")
     return module_name
 

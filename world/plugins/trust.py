@@ -40,7 +40,7 @@ class Trust:
 
 
 NOTHING = Trust()
-_held: ContextVar[Trust] = ContextVar("trust", default=NOTHING)  # in what is being done
+_held: ContextVar[Trust] = ContextVar("trust", default=NOTHING)  # the trust that holds for what is being done
 
 
 @contextmanager
@@ -73,7 +73,7 @@ class ModulePlace:
     """Where a module lies."""
 
     folder: str  # where the search for its first name found it
-    files: tuple[str, ...]  # that importing it runs: of its packages, and its own
+    files: tuple[str, ...]  # files that importing it runs: its own, and those of its packages
     installed: bool
 
 
@@ -96,7 +96,7 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
         return
     own, because = permission.own, permission.because
     place = find(module, [*own, *permission.elsewhere])
-    if module in sys.modules:  # it ran before
+    if module in sys.modules:  # the module ran before
         if place is not None and not place.installed:
             _allow(module, place)
         return
@@ -128,7 +128,7 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
         PluginError: there is no such file.
     """
     ran = set(_files.values())  # as a module that was allowed once
-    _files.pop(name, None)  # what another scenario calls so is another file
+    _files.pop(name, None)  # another scenario may give this name to another file
     folders = [*permission.own, *permission.elsewhere]
     path = next((path for folder in folders if (path := Path(folder, file).resolve()).is_file()), None)
     if path is None:
@@ -193,7 +193,7 @@ def _first(name: str) -> ModuleSpec | None:
     """The module that `import name` would find."""
     try:
         return importlib.util.find_spec(name)
-    except (ValueError, ImportError):  # of unknown origin, as `__main__` is
+    except (ValueError, ImportError):  # the module is of unknown origin, as `__main__` is
         return None
 
 

@@ -18,8 +18,9 @@ from typing import Any
 
 from fleet.errors import FleetError
 from fleet.execution.rendezvous import KeyPair
-from netem.files import ExposedFile, read_file, read_private, write_whole
+from netem.files import ExposedFile, read_file, read_private
 from netem.limits import CREDENTIALS
+from netem.whole_file import write_whole
 
 CA, SERVER = "ca", "server"
 OWN = "fleet"  # what the run's own processes show to a router that asks for certificates

@@ -9,7 +9,7 @@ from typing import Any
 from fleet.addons.hosts.certificates import CA, OWN, SERVER, path
 from fleet.addons.hosts.rendezvous import new_credentials
 from fleet.errors import FleetError
-from netem.files import write_whole
+from netem.whole_file import write_whole
 from netem.wire.credentials import CONSOLE, NETEM, OPERATOR, WORLD, access_control, agent_role
 from netem.wire.keys import Keys
 from netem.wire.session import router_settings

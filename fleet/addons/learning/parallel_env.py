@@ -10,7 +10,7 @@ from fleet.addons.learning.policy_agent import Choices
 from fleet.errors import FleetError
 from fleet.execution.external_agents import refuse
 from fleet.execution.stepped_run import Changes, loaded
-from fleet.logs.dataset import need
+from fleet.logs.table import need
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.scenario.scenario import Scenario
 

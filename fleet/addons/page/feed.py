@@ -19,7 +19,7 @@ from fleet.result.file import ResultError, read_result
 from fleet.result.result import Status
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 
 TRANSFORMS, FAULTS = "transforms", "faults"
 MOST_CHARTED = 4  # signals of checks that have a chart from the start

@@ -14,8 +14,8 @@ from fleet.replay.capture import PublisherGone
 from fleet.replay.live_journal import LiveJournal, left_out
 from fleet.replay.topics import ask_topics
 from fleet.scenario.text.fault_words import read_fault
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import Piece
 
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 _DO = {"type": "string", "enum": ["pause", "resume", "step", "speed"]}

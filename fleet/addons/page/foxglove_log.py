@@ -22,8 +22,8 @@ from fleet.replay.capture import ATTACHMENT, DELETE, KIND
 from fleet.replay.playback import obey
 from fleet.replay.player import SEEK_NS, Player
 from fleet.terminal.keyboard import Key, Keyboard
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import Piece
 
 MOST = 256  # messages between two looks at what viewers ask for
 NAP_S = 0.02  # the longest wait without a look at the keyboard

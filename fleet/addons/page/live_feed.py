@@ -22,7 +22,7 @@ from fleet.replay.player import MeasuredRate
 from fleet.replay.topics import ask_scenario, ask_topics
 from fleet.result.file import RESULT
 from fleet.scenario.loading import parse_scenario
-from fleet.scenario.sections.signals import checked_signals
+from fleet.scenario.sections.signal_checks import checked_signals
 
 
 class LiveFeed:

@@ -23,21 +23,22 @@ from fleet.addons.page.feed import (
     take,
 )
 from fleet.addons.page.view_state import HISTORY_S, NOT_PLACED, Row, ViewState
-from fleet.logs.deviation import begin_ns
+from fleet.logs.difference import begin_ns
 from fleet.logs.fault_intervals import intervals
 from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
+from fleet.logs.run_name import run_name
 from fleet.logs.seekable_log import SeekableLog, Track
 from fleet.logs.topic import Topic
-from fleet.logs.topic_names import believer_of, link_of, link_topic, run_name
+from fleet.logs.topic_names import believer_of, link_of, link_topic
 from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.signals import checked_signals
+from fleet.scenario.sections.signal_checks import checked_signals
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.limits import LOG_FAULTS
 
 MOST_SAMPLES = 600  # of a curve

@@ -18,7 +18,7 @@ from PIL import Image
 from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.page.movie_scene import DRAWN_COLOURS, WIDTH_IN, MovieScene
 from fleet.errors import FleetError
-from netem.files import whole_file
+from netem.whole_file import whole_file
 
 _GREYS = (0, 26, 52, 78, 104, 130, 150, 170, 188, 204, 217, 229, 240, 248, 255)
 _TINTS = (1.0, 0.8, 0.63, 0.48, 0.34, 0.22, 0.12)  # shares of a colour on white

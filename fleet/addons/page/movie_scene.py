@@ -22,6 +22,7 @@ from fleet.addons.pictures.shades import union
 from fleet.addons.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
+from fleet.recorder.scene.link_state import CUT, LinkState
 from fleet.recorder.scene.model import LEAST_FLIGHT_S, MOST_FLIGHT_S, STOPS, TRAIL_S, LegendRow
 from fleet.recorder.scene.primitives import (
     NED,
@@ -36,7 +37,7 @@ from fleet.recorder.scene.primitives import (
     points_of,
     vehicle_frame,
 )
-from fleet.recorder.scene.styles import CUT, FAULT, NO_AGENT, PACKET, PRINT, LinkState
+from fleet.recorder.scene.styles import FAULT, NO_AGENT, PACKET, PRINT
 from fleet.scenario.sections.vehicle_events import vehicle_events
 
 SCENE_PT = (432.0, 226.0)  # width and height of what is seen of the fleet

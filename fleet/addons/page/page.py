@@ -21,7 +21,7 @@ from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.page.view_state import Row
 from fleet.errors import FleetError
 from fleet.execution.directory import in_use
-from fleet.execution.operator import checked_fault
+from fleet.execution.fault_request import checked_fault
 from fleet.recorder.scene.styles import PAGE
 from fleet.scenario.faults.kind import FaultKind, OfLinks, OfVehicles
 from fleet.scenario.faults.kinds import KINDS

@@ -22,7 +22,7 @@ from fleet.addons.page.live_feed import LiveFeed
 from fleet.addons.page.log_feed import LogFeed
 from fleet.errors import FleetError
 from fleet.processes.limits import allow_most_open_files
-from fleet.terminal.table import say
+from fleet.terminal.width import say
 from netem.private_folder import PrivateFolder, runtime_place
 
 Scope = MutableMapping[str, Any]

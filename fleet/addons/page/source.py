@@ -8,7 +8,8 @@ from pathlib import Path
 
 from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, RemoteError, choose, find, named, published
-from fleet.execution.directory import OBSERVE, SCENARIO, in_use, newest_run
+from fleet.execution.directory import OBSERVE, SCENARIO, in_use
+from fleet.execution.past_runs import newest_run
 from fleet.execution.registry import registered
 from fleet.logs.reader import log_path
 from fleet.replay.observed import Observed, read_observed

@@ -14,6 +14,8 @@ from typing import Any
 
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.payload_kinds import DAMAGED, kind_of
+from fleet.recorder.scene.belief import NewestBeliefs
+from fleet.recorder.scene.link_state import ARRIVED, BEHIND, LinkHistory, LinkState, fate_of, stale_after
 from fleet.recorder.scene.model import (
     CROWD,
     LEAST_FLIGHT_S,
@@ -23,21 +25,11 @@ from fleet.recorder.scene.model import (
     STOPS,
     TRAIL_S,
     WORST,
-    NewestBeliefs,
     SceneModel,
     depth_text,
 )
 from fleet.recorder.scene.primitives import Primitive, plain
-from fleet.recorder.scene.styles import (
-    ARRIVED,
-    BEHIND,
-    LINK_MEANINGS,
-    NO_AGENT,
-    LinkHistory,
-    LinkState,
-    fate_of,
-    stale_after,
-)
+from fleet.recorder.scene.styles import LINK_MEANINGS, NO_AGENT
 from fleet.recorder.transforms import angles
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.scenario import Scenario, timeline

@@ -12,8 +12,8 @@ from fleet.cli.group import exit_status
 from fleet.cli.types import FOLDER, Whole
 from fleet.option import Option
 from fleet.processes.limits import processors
-from fleet.terminal.status_line import showing_jobs
-from fleet.terminal.table import stdout
+from fleet.terminal.progress import showing_jobs
+from fleet.terminal.width import stdout
 
 
 @command()

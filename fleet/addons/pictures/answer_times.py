@@ -26,8 +26,8 @@ from fleet.addons.pictures.style import (
 from fleet.logs.schemas import CLOCK
 from fleet.palette import COLOURS
 from fleet.result.file import ResultError, read_result
-from fleet.result.result import Spread, Timing
-from netem.vehicle_clock import Clock
+from fleet.result.timing import Spread, Timing
+from netem.clock import Clock
 
 GREY = "#999999"
 

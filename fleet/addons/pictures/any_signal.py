@@ -25,16 +25,8 @@ from fleet.errors import FleetError
 from fleet.logs.records import Array
 from fleet.logs.topic import Topic
 from fleet.scenario.schema.checks import SignalCheck
-from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask
-from fleet.scenario.sections.signals import (
-    GROUPS,
-    OF_THE_LAWS,
-    SignalName,
-    SignalPlace,
-    checked_signals,
-    component,
-    parse_name,
-)
+from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask, checked_signals
+from fleet.scenario.sections.signals import GROUPS, OF_THE_LAWS, SignalName, SignalPlace, component, parse_name
 from netem.parsing import nearest
 
 MOST_AXES = 8  # components of a vector

@@ -19,8 +19,8 @@ from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
 from fleet.palette import COLOURS
+from netem.cause import Cause
 from netem.condition import Link
-from netem.fault_kinds import Cause
 
 CORRUPTED = "corrupted"
 # Fate -> (mark, colour). Every one has a mark and a colour of its own: blue for what arrives, grey for what is neither,

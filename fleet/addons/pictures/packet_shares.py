@@ -26,8 +26,8 @@ from fleet.addons.pictures.style import (
 from fleet.logs.payload_kinds import DAMAGED, count_kinds
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
+from netem.cause import Cause
 from netem.condition import Link
-from netem.fault_kinds import Cause
 
 MOST_ROWS = 36  # links with a row of their own; of more, the worst have one, and the others one together
 WORST = 12

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from fleet.addons.pictures.style import COLUMN_IN, DPI
 from fleet.errors import FleetError
-from netem.files import whole_file
+from netem.whole_file import whole_file
 
 
 class Heading(NamedTuple):

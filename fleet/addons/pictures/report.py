@@ -33,7 +33,8 @@ from fleet.addons.pictures.page import (
 from fleet.addons.pictures.runs import Run, View, first_words
 from fleet.logs.payload_kinds import KindCount, count_kinds
 from fleet.logs.reader import OnProgress
-from fleet.logs.topic_names import begun_at, link_topic, run_name
+from fleet.logs.run_name import begun_at, run_name
+from fleet.logs.topic_names import link_topic
 from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import LinkAge, Result
@@ -44,7 +45,7 @@ from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.signals import parse_name
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.ages import Ages
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.ledger import Account
 from netem.wire.messages import Fate
 

@@ -18,7 +18,7 @@ from fleet.errors import FleetError
 from fleet.logs.open_log import MOST_HELD, Log, Opening
 from fleet.logs.reader import check_readable
 from fleet.logs.records import Array
-from fleet.logs.topic_names import run_name
+from fleet.logs.run_name import run_name
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario

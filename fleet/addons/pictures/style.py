@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from fleet.errors import FleetError
 from fleet.palette import COLOURS
-from netem.files import whole_file
+from netem.whole_file import whole_file
 
 STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
 STYLE_NAMES = ("solid", "dashed", "dash-dot", "dotted", "dash-dot-dot", "densely dotted", "long dashes")

@@ -31,7 +31,6 @@ from fleet.addons.pictures.thresholds import draw_thresholds, thresholds
 from fleet.logs.records import Array
 from fleet.scenario.sections.per_vehicle import Control
 
-# --- time series
 # Signals of the vehicles over time: errors with the limits of checks, inputs with their limits.
 
 

@@ -26,7 +26,8 @@ from fleet.addons.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, 
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
-from fleet.recorder.scene.model import SceneModel, ellipse
+from fleet.recorder.scene.belief import ellipse
+from fleet.recorder.scene.model import SceneModel
 from fleet.recorder.scene.primitives import AreaShape, CylinderShape, LineShape, Primitive
 from fleet.recorder.scene.styles import COURSE, PRINT
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED

@@ -14,7 +14,7 @@ import click
 from fleet.cli.companion import Beside, Companion
 from fleet.option import Option
 from fleet.processes.side_process import begin, end, line_of, pipe
-from fleet.terminal.table import say
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.execution.options import Options

@@ -12,8 +12,8 @@ import click
 from fleet.cli.exporter import Exporter, Selection
 from fleet.cli.types import FOLDER, TIME
 from fleet.option import Option
-from fleet.terminal.status_line import showing
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing
+from fleet.terminal.width import say
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Traces(Exporter):
     def write(self, log: Path, selection: Selection, *, force: bool) -> Iterable[Path]:
         """Write them. Raises UsageError: the log is of a run, and has all its links; FleetError: it cannot be done."""
         from fleet.addons.robots.field_traces import FieldSelection, write_field_traces
-        from fleet.logs.export import write_traces
+        from fleet.logs.link_traces import write_traces
         from fleet.logs.open_log import open_log
 
         if self.folder is None:

@@ -21,7 +21,8 @@ import numpy as np
 
 from fleet.addons.robots.ros2 import rmw
 from fleet.errors import FleetError
-from fleet.logs.export import file_names, write_files
+from fleet.logs.export import file_names
+from fleet.logs.link_traces import write_files
 from fleet.logs.reader import LogReader, OnProgress, log_path
 from fleet.replay.capture import ATTACHMENT, DELETE, KIND, PROFILE
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fleet.logs.other import OtherData
 
 if TYPE_CHECKING:
-    from fleet.logs.recover import Recovered
+    from fleet.logs.other import Recovered
 
 
 class DamagedBag(OtherData):

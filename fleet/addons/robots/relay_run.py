@@ -25,8 +25,9 @@ from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
 from fleet.execution.operator import Operator
 from fleet.execution.runner import Closing
-from fleet.processes.children import Children, Exit, RunFolder, describe_exit
-from fleet.processes.limits import free_port
+from fleet.processes.children import Children, Exit, describe_exit
+from fleet.processes.ports import free_port
+from fleet.processes.run_folder import RunFolder
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.scenario.faults.kind import Kill
@@ -37,9 +38,9 @@ from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.relay_process import MOST_NOTES, Port, RelayReport, Setup
 from netem.wire.bus import Bus
+from netem.wire.control import read_map
 from netem.wire.credentials import CONSOLE, OPERATOR, generate
 from netem.wire.keys import Keys
-from netem.wire.mailbox import read_map
 from netem.wire.messages import Frame, LinkReport, VehicleFrame, WorldFault
 from netem.wire.robots import RobotEndpoint
 from netem.wire.session import quiet_zenoh

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.row import PartRow, Row
-from fleet.analysis.preflight import may_draw
+from fleet.analysis.randomness import may_draw
 from fleet.analysis.verdicts import judge
 from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess, in_process
@@ -28,8 +28,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import moment_grid
 from fleet.scenario.sections.timeline import Event
 from netem.condition import Link
-from netem.grammar import parse_selector, select
-from netem.medium import PERFECT
+from netem.link_selector import parse_selector, select
+from netem.links import PERFECT
 from netem.transit import PendingPacket
 from netem.wire.messages import Command, Fate, Frame
 

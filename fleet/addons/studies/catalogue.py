@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 
 from fleet.addons.studies.values import axis, values_text
 from fleet.quantities import time_ns
-from fleet.scenario.catalogue import ShippedFiles
+from fleet.scenario.shipped_files import ShippedFiles
 from fleet.scenario.text.yaml_reader import Source, plain, read
 
 _FILES = ShippedFiles("fleet.addons.studies.shipped")

@@ -32,8 +32,9 @@ from fleet.addons.studies.shrink import Shrinker
 from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from netem.files import DamagedFile, read_json, write_whole
+from netem.files import DamagedFile, read_json
 from netem.limits import FAILURES
+from netem.whole_file import write_whole
 
 INDEX = "failures.json"
 FORMAT = 1  # of both JSON files

@@ -27,13 +27,13 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
 from fleet.result.result import LinkAge, Result, VehicleResult
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.signal_checks import checked_signals
 from fleet.scenario.sections.signals import (
     SIGNAL,
     SignalError,
     SignalName,
     SignalPlace,
     VehicleSignals,
-    checked_signals,
     read_name,
     unit_of,
 )

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from agents.controllers import BUILT_IN, laws
 from fleet.addons.studies.errors import StudyError
-from fleet.processes.children import close_at_end
+from fleet.processes.run_folder import close_at_end
 from fleet.scenario.scenario import Scenario
 from netem.private_folder import PrivateFolder
 from world.plants.classes import file_of, module_of

@@ -25,8 +25,9 @@ from fleet.addons.studies.row import FAILED, PREFIX, CheckRow, Row
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
-from fleet.execution.stepped_run import Run, judged
+from fleet.execution.stepped_run import Run
 from fleet.execution.triggered import resolve_triggers
+from fleet.execution.whole_run import judged
 from fleet.processes.apart import apart, can_copy
 from fleet.recorder.log_file import LogFile, NoDigest
 from fleet.result.file import write_result

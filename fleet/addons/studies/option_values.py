@@ -21,7 +21,7 @@ from fleet.errors import printable
 from fleet.execution.stepped_run import override_texts
 from fleet.option import Kind, OptionField, fields
 from fleet.quantities import QuantityError, describe_value, show_time, time_ns
-from fleet.scenario.text.yaml_reader import inline
+from fleet.scenario.text.yaml_writer import inline
 from netem.parsing import nearest
 
 F = TypeVar("F", bound=Callable[..., Any])

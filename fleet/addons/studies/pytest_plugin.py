@@ -67,7 +67,7 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
 def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path) -> list[Result]:
     from fleet.addons.studies.row import Reached
     from fleet.execution.stepped_run import override_texts
-    from fleet.execution.stepped_run import run as run_once
+    from fleet.execution.whole_run import run as run_once
 
     texts = override_texts(changes)
     found: list[Result] = []

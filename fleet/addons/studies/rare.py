@@ -22,8 +22,9 @@ from fleet.addons.studies.plan import run_key
 from fleet.addons.studies.row import PartRow, Row
 from fleet.scenario.scenario import Scenario
 from netem.draws import bits
-from netem.files import DamagedFile, read_json, write_whole
+from netem.files import DamagedFile, read_json
 from netem.limits import RARE
+from netem.whole_file import write_whole
 
 _MARGINS = 3  # changes when other margins count at a moment: such repeats do not mix
 _TOGETHER = 8  # parts of runs that a worker makes from one moment

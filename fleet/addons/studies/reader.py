@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from fleet.addons.pictures.verbs.choice import DrawnData, PictureChoice
 from fleet.errors import FleetError
-from fleet.terminal.status_line import showing
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.addons.studies.store import Store

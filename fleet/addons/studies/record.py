@@ -12,8 +12,9 @@ from fleet.addons.studies.spec import MOST_ALLOWED, BoundarySpec, StudySpec, tex
 from fleet.addons.studies.values import Axis
 from fleet.errors import printable
 from fleet.quantities import QuantityError
-from netem.files import DamagedFile, read_json, write_whole
+from netem.files import DamagedFile, read_json
 from netem.limits import STUDY_RECORD
+from netem.whole_file import write_whole
 
 VERSION = 4
 NAME = "study.json"

@@ -37,8 +37,8 @@ from fleet.addons.studies.row import STATUSES, CheckRow, Row
 from fleet.addons.studies.spec import LARGEST_SEED
 from fleet.addons.studies.stopping import Rule, parse_until, seed_sequence, seeds_needed
 from fleet.addons.studies.values import AxisValue
-from netem.files import part_of, sync_folder
 from netem.limits import STUDY_ROWS
+from netem.whole_file import part_of, sync_folder
 
 if TYPE_CHECKING:
     import pandas as pd

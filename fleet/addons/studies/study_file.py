@@ -16,18 +16,8 @@ from fleet.errors import Problem, ScenarioError, printable
 from fleet.option import Kind, OptionField, fields
 from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios
-from fleet.scenario.text.yaml_reader import (
-    Items,
-    Mapping,
-    Node,
-    Scalar,
-    Source,
-    TextPlace,
-    inline,
-    plain,
-    read,
-    yaml_text,
-)
+from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, Source, TextPlace, plain, read
+from fleet.scenario.text.yaml_writer import inline, yaml_text
 from fleet.scenario.trust import TYPED, OverrideOrigin, origin
 from netem.files import read_file
 from netem.limits import SCENARIO

@@ -12,7 +12,7 @@ from fleet.scenario.faults.of_links import LinkFault, PartitionFault
 from fleet.scenario.faults.partitions import partition
 from netem.condition import Link
 from netem.errors import TextError
-from netem.grammar import parse_selector
+from netem.link_selector import parse_selector
 
 
 class Targets(NamedTuple):

@@ -24,7 +24,7 @@ from typing import Literal, NamedTuple
 from fleet.addons.studies.errors import StudyError
 from fleet.errors import printable
 from fleet.quantities import DIMENSIONS
-from fleet.scenario.text.yaml_reader import inline
+from fleet.scenario.text.yaml_writer import inline
 from netem.grammar import RATE_UNITS
 from netem.parsing import LONGEST_NUMBER, NUMBER, exact_number, nearest
 

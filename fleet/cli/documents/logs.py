@@ -10,13 +10,15 @@ from msgspec import Meta, Struct
 
 from fleet.analysis.border import LinearFleet
 from fleet.analysis.link_shares import effective_loss, written
-from fleet.analysis.preflight import may_draw
-from fleet.analysis.stability import Analysis, oldest_s, slack
+from fleet.analysis.randomness import may_draw
+from fleet.analysis.slots import slack
+from fleet.analysis.stability import Analysis, oldest_s
 from fleet.cli.documents.failure import ProblemRow, problem_rows
 from fleet.errors import Problem
 from fleet.execution.answers import LiveRunRow
-from fleet.execution.directory import PastRun
-from fleet.logs.deviation import Difference, LogComparison
+from fleet.execution.past_runs import PastRun
+from fleet.logs.deviation import LogComparison
+from fleet.logs.difference import Difference
 from fleet.logs.fault_intervals import FaultTime
 from fleet.scenario.scenario import Scenario, timeline
 from netem.condition import Link

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fleet.errors import harmless
-from fleet.terminal.table import say
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     import msgspec
@@ -32,7 +32,7 @@ def json_is_asked() -> bool:
 
 def print_document(document: msgspec.Struct) -> None:
     """Print a document as JSON."""
-    from fleet.result.result import json_text
+    from fleet.result.json_text import json_text
 
     text = harmless(json_text(document), json=True)
     try:

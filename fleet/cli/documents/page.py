@@ -88,7 +88,8 @@ def _section(heading: str, record: dict[str, Any], known: set[str]) -> str:
     lines = [row for name, row in rows.items() if name not in bare]
     known.update(lines)
     shown = [f"- `{'`, `'.join(bare)}`"] if bare else []
-    return "\n".join([heading, "", _COMMAND.sub("", record["description"]), "", *shown, *lines, ""])
+    about = re.split(r"\n\s*Attributes:\n", record["description"])[0].rstrip()  # the attributes follow as keys
+    return "\n".join([heading, "", _COMMAND.sub("", about), "", *shown, *lines, ""])
 
 
 def _words(name: str, field: dict[str, Any]) -> str:

@@ -37,7 +37,7 @@ class Primitive(msgspec.Struct, frozen=True, tag_field="kind", tag=lambda name: 
 class CylinderShape(Primitive, frozen=True):
     """A vertical cylinder from the surface to the floor; it stands still."""
 
-    north: float  # of its axis [m]
+    north: float  # place of the axis [m]
     east: float
     radius: float  # m
 

@@ -12,7 +12,7 @@ from fleet.scenario.value_types import Section, section_of
 from netem.condition import Link
 from netem.fault_kinds import NetFaultKind, WorldFaultKind
 from netem.faults import NetFault
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.lives import Absence
 from netem.wire.messages import TimedFault, WorldFault
 
@@ -28,7 +28,7 @@ class Kill(TimedFault, frozen=True):
         return [Absence(i, self.begin, self.end) for i in self.vehicles]
 
 
-Part = NetFault | WorldFault | Kill  # of a fault: what one core does
+Part = NetFault | WorldFault | Kill  # what one core does during a fault
 
 
 class Surroundings(NamedTuple):
@@ -39,7 +39,7 @@ class Surroundings(NamedTuple):
     links: tuple[Link, ...]
     tick_ns: int = 1
     round_ticks: int = 1
-    ticks: int = 1  # of the run
+    ticks: int = 1  # length of the run
 
     def named(self, selector: str) -> tuple[Link, ...]:
         """The links of the graph that a selector names."""
@@ -103,7 +103,7 @@ class FaultKind:
     # What it acts on. Other people's robots have faults of the network alone, and these act at round ticks only. With
     # an ideal network there are no faults of the network and none of agents.
     acts_on: ClassVar[Literal["network", "agent", "vehicle"]] = "vehicle"
-    one_word: ClassVar[bool] = False  # keys may be left out, since one of them stands for all
+    one_word: ClassVar[bool] = False  # keys may be left out, since one key stands for all
     in_water: ClassVar[bool] = True  # whether an acoustic channel has it
     every_number_strengthens: ClassVar[bool] = False  # so `fleet shrink` tries smaller ones
     drawn: ClassVar[Literal["", "target", "strength"]] = ""  # what a nemesis draws of it; "" is never drawn

@@ -24,4 +24,4 @@ def every_kind() -> Mapping[str, FaultKind]:
 
 
 KINDS = every_kind()
-OF_ROBOTS = tuple(name for name, kind in KINDS.items() if kind.acts_on == "network")  # that are not ours, too
+OF_ROBOTS = tuple(name for name, kind in KINDS.items() if kind.acts_on == "network")  # robots of others too

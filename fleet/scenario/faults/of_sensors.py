@@ -49,7 +49,7 @@ class BiasKeys(SomeVehicles):
     yaw: v.SignedAngle = 0.0
     pitch_rate: v.SignedAngularRate = 0.0
     yaw_rate: v.SignedAngularRate = 0.0
-    roll: v.SignedAngle = 0.0  # of vehicles that have it
+    roll: v.SignedAngle = 0.0  # only for vehicles that can roll
     roll_rate: v.SignedAngularRate = 0.0
 
 
@@ -115,10 +115,10 @@ class _OfInstrument(OfVehicles):
 
 
 class DvlKeys(SomeVehicles):
-    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0  # of each sample
+    lost: Annotated[v.Probability, v.loss_once("lost")] = 0.0  # probability for each sample
     bias: v.Velocity = (0.0, 0.0, 0.0)  # body
     jump: v.Speed = 0.0  # standard deviation on each axis
-    chance: v.Probability = 0.1  # that a sample jumps
+    chance: v.Probability = 0.1  # probability that a sample jumps
 
 
 class DvlFault(_OfInstrument):

@@ -17,7 +17,7 @@ _ISOLATE = re.compile(r"isolate:\s*(\d{1,9})", re.ASCII)
 
 
 def partition(text: str, vehicles: int, seed: int, name: str, among: Iterable[Link] | None = None) -> set[Link]:
-    """The directed links that a partition cuts, of all there could be, or of those given.
+    """The directed links that a partition cuts, of all there could be, or of the given ones.
 
     Raises TextError: the text names no partition of these vehicles.
     """

@@ -14,18 +14,19 @@ from fleet.errors import FleetError
 from fleet.quantities import describe_value, show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.faults import fault_names, report_fault
-from fleet.scenario.rules.laws import plugin
+from fleet.scenario.rules.plugins import plugin
 from fleet.scenario.rules.report import LINKS_SHOWN, Report, vehicles_exist, whole_multiple
 from fleet.scenario.schema.checks import CHECK_NAME, EVERY, OF_THE_SCHEMA
 from fleet.scenario.schema.faults import ACTIONS
-from fleet.scenario.sections.signal_checks import SignalCheckError, ask, load_check, of_a_plugin, parameters_of
+from fleet.scenario.sections.python_checks import load_check, parameters_of
+from fleet.scenario.sections.signal_checks import SignalCheckError, ask, of_a_plugin
 from fleet.scenario.sections.signals import BeliefKind, SignalPlace, VehicleSignals
 from fleet.scenario.sections.triggers import ask_moment, fault_of, trigger_name, wait_ns
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.parsing import nearest
 from world.errors import PluginError
 
-Path = tuple[str | int, ...]  # of a key
+Path = tuple[str | int, ...]  # path of a key
 
 
 def checks(parts: Parts, report: Report) -> None:

@@ -19,7 +19,8 @@ from fleet.scenario.rules.report import (
     vehicles_exist,
     whole_multiple,
 )
-from fleet.scenario.schema.faults import ACTIONS, OF_TARGET, FaultAction, FaultSection, NemesisSection
+from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
+from fleet.scenario.schema.nemesis import OF_TARGET, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes
 from fleet.scenario.sections.liveness import healed_at
@@ -27,10 +28,10 @@ from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.swarm import span
 from netem.condition import Link
 from netem.errors import TextError
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 
-MOST_FAULTS = 5000  # of one scenario, those of its nemesis included: the cores test each in every tick
-MOST_TARGETS = 100_000  # faults times vehicles: each may be about all of them
+MOST_FAULTS = 5000  # with the faults of its nemesis; the cores test each fault in every tick
+MOST_TARGETS = 100_000  # faults times vehicles, since a fault may concern all vehicles
 
 
 def fault_names(parts: Parts) -> tuple[list[str], set[str]]:
@@ -186,7 +187,7 @@ def report_fault(
 class FaultProblem(NamedTuple):
     """One mistake in a fault."""
 
-    key: str  # of the fault; "": the mistake is in the fault as a whole
+    key: str  # key of the fault; "": the mistake is in the fault as a whole
     message: str
     hint: str = ""
     at_key: bool = False  # shown at the key and not at its value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -14,52 +13,14 @@ from agents.profiles import profile
 from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
+from fleet.scenario.rules.plugins import plugin
 from fleet.scenario.rules.report import Report, packed, vehicles_exist
 from fleet.scenario.schema.spec import sections
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.per_vehicle import Entries, given, law_names, mass_problems, used, wrong_model
-from netem.parsing import nearest
-from world.errors import PluginError, UntrustedError
+from fleet.scenario.sections.per_vehicle import Entries, given, law_names, used, wrong_model
+from fleet.scenario.sections.vehicle_files import mass_problems
 from world.plants.classes import SHIPPED, plant_class
 from world.vectors import Vec3
-
-# --- plug-ins: each exists, may run, and can be used
-
-
-def plugin(
-    parts: Parts,
-    report: Report,
-    at: tuple[str, ...],
-    kind: str,
-    name: str,
-    shipped: Sequence[str],
-    load: Callable[[], Any],
-) -> bool:
-    """Report the mistakes of a plug-in; whether it can be used, as far as that is known.
-
-    One that may not be imported now is left out. `load` loads and checks its class, and raises PluginError.
-    """
-    typed = report.typed(at)
-    if not (name in shipped or typed or report.policy.imports):
-        return True
-    try:
-        if name not in shipped:
-            report.policy.admit(kind, name, parts.folder, typed=typed)
-        load()
-    except UntrustedError as error:
-        report.refuse(at, f"{name}: {error.problem}", error.hint)
-    except PluginError as error:
-        if not typed and report.policy.of_a_log:  # of somebody whose modules are not here
-            report.refuse(at, f"{name}: {error.problem}", error.hint)
-        elif name not in shipped and ":" not in name and "does not load" not in error.problem:
-            close = nearest(name, shipped) if shipped else ""
-            known = f"known: {', '.join(shipped)}, or" if shipped else "write"
-            report.add(at, f'there is no {kind} "{name}"', close or f"{known} package.module:Class")
-        else:
-            report.add(at, f"{name}: {error.problem}", error.hint)
-    else:
-        return True
-    return False
 
 
 def plants(parts: Parts, report: Report) -> None:
@@ -87,7 +48,7 @@ def rolls(parts: Parts, report: Report) -> None:
             report.add(("initial", index, key), message, hint, key=True)
 
 
-_BLEND_SAMPLES = 40  # of a change of the formation
+_BLEND_SAMPLES = 40  # times at which a change of the formation is looked at
 
 
 def per_vehicle(parts: Parts, report: Report) -> None:

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
-from fleet.scenario.schema.faults import CONDITIONS
+from fleet.scenario.schema.nemesis import CONDITIONS
 from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
 from netem.parsing import nearest
 
@@ -113,7 +113,7 @@ def _ports(parts: Parts, report: Report) -> None:
 
 
 def _keys(parts: Parts, report: Report) -> None:
-    from netem.wire.robots import check_key  # and with it zenoh
+    from netem.wire.robots import check_key  # here, because it imports zenoh
 
     for number, key in enumerate(parts.spec.carry or ()):
         if wrong := check_key(key):

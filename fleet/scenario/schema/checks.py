@@ -76,7 +76,7 @@ class Recovery(Section):
     It stays until the next fault begins, or to the end.
     """
 
-    fault: str  # its id: as given, or f1, f2, ...; or EVERY
+    fault: str  # id of the fault: as given, or f1, f2, ...; or EVERY
     below: v.Period
     within: v.PositiveLength
     error: Literal["formation", "consensus"] = "formation"
@@ -84,7 +84,7 @@ class Recovery(Section):
 
 
 class MinSeparation(Section):
-    """The distance of any two vehicles, of all or of those named, stays above a limit from a time to the end."""
+    """The distance of any two vehicles, of all or of the named ones, stays above a limit from a time to the end."""
 
     above: v.PositiveLength
     after: v.Time = 0
@@ -135,7 +135,7 @@ CHECK_NAME = r"[A-Za-z][A-Za-z0-9_.-]{0,63}"
 class SignalCheck(Section):
     """A condition on a signal of some vehicles, or between them, and when it has to hold."""
 
-    name: str | None = None  # of the verdict; the signal's
+    name: str | None = None  # name of the verdict; default: the signal's
     topic: str  # topic group, dot, field: `state.z`, `|error.e|`
     vehicles: Annotated[v.VehicleNumbers | None, _EVERYONE] = None
     below: Quantity | None = None
@@ -146,8 +146,8 @@ class SignalCheck(Section):
     at_most_one: OnlyTrue = None  # vehicle whose value is true: not 0
     agree_within: v.Period | None = None  # all values are equal, but for stretches shorter than this
     never: OnlyTrue = None  # the condition must not hold
-    sometimes: OnlyTrue = None  # it must hold in some run of a study or search; no single run fails for it
-    eventually_within: v.Period | None = None  # it must hold at some time, not always
+    sometimes: OnlyTrue = None  # the condition must hold in some run of a study; no single run fails
+    eventually_within: v.Period | None = None  # the condition must hold at some time, not always
     for_at_least: v.Period | None = None  # a time for which it holds without a break
     fault: str | None = None  # with `eventually_within`: counted from the end of this fault, or of EVERY
     after: v.Time = 0
@@ -169,7 +169,7 @@ def _instances(value: Any) -> Any:
     return [one or {} for one in each]
 
 
-SOMETIMES = "sometimes"  # of a check in Python: what would fail it must be reached in some run
+SOMETIMES = "sometimes"  # a check in Python with this key must fail in some run
 PYTHON = "<module>:<Class>"  # stands for the keys that name a class
 Instances = Annotated[list[dict[str, Any]], BeforeValidator(_instances)]
 
@@ -193,7 +193,7 @@ class OwnCheck(NamedTuple):
     """One of the user's own checks: where it is, and what its verdict is called."""
 
     key: str  # `signal`, or `package.module:Class`
-    place: int  # among those of this key
+    place: int  # place among the checks of this key
     name: str
     given: bool  # the name is the user's
     sometimes: bool = False  # whether it must be reached in some run of many
@@ -223,7 +223,7 @@ class ChecksSection(Section):
         """Put the checks that are classes under one key."""
         if not isinstance(value, dict):
             return value
-        known = {field.alias or name for name, field in cls.model_fields.items()}
+        known = cls.model_fields.keys() - {"python"}
         others = {key: one for key, one in value.items() if isinstance(key, str) and key not in known}
         classes = {key: one for key, one in others.items() if ":" in key or key in installed(CHECKS)}
         return {key: one for key, one in value.items() if key not in classes} | ({PYTHON: classes} if classes else {})

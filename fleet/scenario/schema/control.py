@@ -4,69 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, PlainSerializer, model_validator
+from pydantic import PlainSerializer, model_validator
 
 from agents.config import Angles, Astern, Cost, Extrapolation, Method, Solver
 from fleet.scenario import value_types as v
+from fleet.scenario.schema.clock import ClockSection
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from fleet.scenario.value_types import Section, word_for
-
-# --- clock of a vehicle: its drift and offset, given or drawn
-
-
-class DriftSection(Section):
-    """How fast a clock gains: the same for all vehicles, or drawn for each from a normal distribution."""
-
-    mean: v.ClockDrift = 0.0
-    sigma: v.ClockSpread = 0.0
-
-
-class OffsetSection(Section):
-    """By how much a clock is ahead at the start, likewise."""
-
-    mean: v.ClockTime = 0
-    sigma: v.ClockTimeSpread = 0
-
-
-def _mean(value: Any) -> Any:
-    """A plain value stands for its mean alone."""
-    return {"mean": value} if isinstance(value, str | int | float) and not isinstance(value, bool) else value
-
-
-def _show(section: DriftSection | OffsetSection | None) -> Any:
-    return section and (section.model_dump(exclude_defaults=True) if section.sigma else section.model_dump()["mean"])
-
-
-class ClockSection(Section):
-    """The clock that an agent and its modem go by; what is left out is 0, or as it is for all vehicles."""
-
-    drift: Annotated[DriftSection | None, BeforeValidator(_mean), PlainSerializer(_show)] = None
-    offset: Annotated[OffsetSection | None, BeforeValidator(_mean), PlainSerializer(_show)] = None
-
-
-# --- keeping vehicles apart and out of cylinders: agents.laws.keep_apart
-
-
-class ObstacleSection(Section):
-    """A vertical cylinder, from the surface to the bottom."""
-
-    at: v.PlanPosition  # of its axis: north, east
-    radius: v.PositiveLength
-
-
-class KeepApartSection(Section):
-    """A distance that vehicles keep from each other, and cylinders that they do not enter."""
-
-    distance: v.PositiveLength
-    obstacles: list[ObstacleSection] = []
-    gain: v.Gain = 0.3  # of the barrier: how fast a distance may shrink for each metre that is left
-    lag: v.Period = 1_000_000_000  # the longest time in which a velocity follows its command
-    slew: v.PositiveAcceleration = 0.3  # per axis: how fast the filter changes the command
-    acceleration: v.PositiveAcceleration = 0.5  # what a neighbour may do since it was heard
-    speed: v.PositiveSpeed = 1.5  # likewise; and the limit of what the filter commands on each horizontal axis
-    climb: v.PositiveSpeed = 0.1  # up or down, of any command: a third of the least speed, `tracking.u_floor`
-    age_cap: v.Period = 2_000_000_000  # what is older is extrapolated no further, and its margin grows no more
 
 
 class LawSection(Section):

@@ -1,4 +1,8 @@
-"""Reference, formation, graph and initial states."""
+"""Reference, formation, graph and initial states.
+
+The tables of named shapes say which keys each shape takes. A section holds the keys of all its shapes, and
+`fleet.scenario.rules.motion` compares them with its table.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,6 @@ from pydantic_core import CoreSchema, core_schema
 from fleet.quantities import QuantityError, describe_value, vehicle_numbers
 from fleet.scenario import value_types as v
 from fleet.scenario.value_types import Section, mistake
-
-# --- named shapes: which keys each takes, and what it is when they are not given
 
 
 class ShapeKeys(NamedTuple):
@@ -65,10 +67,10 @@ class ReferenceSection(Section):
     speed: v.PositiveSpeed | None = None
     center: v.Position | None = None
     radius: v.PositiveLength | None = None
-    bearing: v.SignedAngle | None = None  # of the start as seen from the centre, clockwise from north
+    bearing: v.SignedAngle | None = None  # where the start is as seen from the centre, clockwise from north
     turn: Literal["starboard", "port"] | None = None  # starboard
-    sink: v.SignedSpeed | None = None  # of a helix: downwards
-    heading: v.SignedAngle | None = None  # of a lawn-mower's first leg, clockwise from north
+    sink: v.SignedSpeed | None = None  # speed at which a helix goes down
+    heading: v.SignedAngle | None = None  # the first leg of a lawn-mower, clockwise from north
     leg: v.PositiveLength | None = None
     legs: Annotated[int, Field(ge=1, le=1000)] | None = None
     spacing: v.PositiveLength | None = None
@@ -82,7 +84,7 @@ class FormationShape(Section):
 
     offsets: list[v.Position] | None = None  # p_1, p_2, ...; Delta_ij = p_i - p_j
     shape: Literal["line", "column", "wedge", "circle", "grid"] | None = None
-    spacing: v.PositiveLength | None = None  # of the shape, between neighbours; 10 m
+    spacing: v.PositiveLength | None = None  # distance between neighbours; default: 10 m
     heading: v.SignedAngle | None = None  # what is ahead in the shape, clockwise from north; 0
 
 
@@ -132,7 +134,7 @@ class StandbySection(Section):
     """Vehicles that follow the reference themselves while those of their neighbours that follow it are silent."""
 
     vehicles: v.VehicleNumbers
-    after: v.Period  # of silence
+    after: v.Period  # the silence after which they take over
 
 
 class GraphSection(Section):
@@ -146,8 +148,8 @@ class GraphSection(Section):
     count: Annotated[int, Field(ge=1)] | None = None  # nearest: how many others each vehicle receives from; 2
     probability: v.Probability | None = None  # random: of each pair beyond the tree that connects all; 20 %
     edges: dict[str, v.PositiveNumber] | None = None  # "1->2": a_21, vehicle 2 receives from vehicle 1
-    reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # those with b_i = 1; the others have 0
-    standby: StandbySection | None = None  # the vehicles that get b_i = 1 when those are silent
+    reference: Annotated[list[int] | Literal["all"], _Followers()] = "all"  # vehicles with b_i = 1; the others have 0
+    standby: StandbySection | None = None  # the vehicles that get b_i = 1 when `reference` is silent
 
 
 class InitialState(Section):
@@ -161,7 +163,7 @@ class InitialState(Section):
     heave: v.SignedSpeed = 0.0
     pitch_rate: v.SignedAngularRate = 0.0
     yaw_rate: v.SignedAngularRate = 0.0
-    roll: v.SignedAngle = 0.0  # of a vehicle with a plant; so is its rate
+    roll: v.SignedAngle = 0.0  # only a vehicle with a plant has a roll and a roll rate
     roll_rate: v.SignedAngularRate = 0.0
 
 

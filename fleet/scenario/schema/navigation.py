@@ -21,7 +21,7 @@ class FixSection(Section):
     delay: v.Time | None = None  # from measurement to use
     loss: v.Probability | None = None
     noise: v.Length | None = None  # standard deviation on each axis, next to the beacon
-    noise_per_distance: v.Ratio | None = None  # and what comes to it, as a root of squares
+    noise_per_distance: v.Ratio | None = None  # the part that grows with the distance; it adds up as a root of squares
     reach: v.PositiveLength | None = None  # greatest distance to the beacon; any
     depth: v.Length | None = None  # gps: below it there is none
 
@@ -37,7 +37,7 @@ class NavigationSection(Section):
     """A vehicle's belief about its position; `navigation: ideal` in the file is `ideal` here."""
 
     ideal: bool = False
-    grade: str | None = None  # of the instruments, shipped or a TOML file; tactical
+    grade: str | None = None  # grade of the instruments, shipped or a TOML file; default: tactical
     heading_rate: v.SampleRate | None = None
     heading_bias: v.Angle | None = None
     heading_noise: v.Angle | None = None

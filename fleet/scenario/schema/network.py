@@ -73,21 +73,21 @@ class RangingSection(Section):
     noise: v.PositiveLength = 0.5  # standard deviation
     outliers: OutlierSection | None = None
     request: v.Bytes | None = None  # two-way: of a request, and of a reply; 4 bytes
-    turn: v.Period | None = None  # two-way: from the request of one receiver to that of the next
+    turn: v.Period | None = None  # two-way: from the request of one receiver to the request of the next
 
 
 class AcousticSection(ModemSection):
     """The acoustic channel: the modems, the medium access, and the water."""
 
-    modems: dict[v.VehicleNumbers, Annotated[ModemSection, word_for("modem")]] = {}  # of some vehicles
+    modems: dict[v.VehicleNumbers, Annotated[ModemSection, word_for("modem")]] = {}  # vehicles that carry another modem
     mac: Literal["aloha", "csma", "tdma"] = "aloha"
-    backoff: v.Time | None = None  # aloha, csma: the largest; by default that of the highest throughput of aloha
+    backoff: v.Time | None = None  # aloha, csma: the largest; default: aloha has its highest throughput
     slot: v.Period | None = None  # tdma
     guard: v.Time | None = None  # tdma; 100 ms
     buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait
     sound_speed: v.PositiveSpeed | None = None  # 1500 m/s
     water: WaterSection | None = None  # in place of a speed
-    spreading: v.Spreading | None = None  # that of the site, or 1.5
+    spreading: v.Spreading | None = None  # default: the spreading of the site, or 1.5
     shipping: v.Fraction = 0.5
     wind: v.Speed = 5.0
     fading: FadingSection | None = None
@@ -101,7 +101,7 @@ class LinkStateSection(Section):
     """A state of links: the condition in it, and how long it lasts on average."""
 
     condition: v.LinkCondition = Condition()
-    mean: v.Period  # of an exponentially distributed time
+    mean: v.Period  # mean of the exponentially distributed time in the state
     next: dict[v.StateName, v.Probability] | None = None  # the state that follows; by default any other
 
 
@@ -114,11 +114,11 @@ class LinkSection(Section):
     together: bool | None = None  # states: the links of this selector change at the same times
     trace: str | None = None  # CSV; a text of several lines is the CSV itself
     by: Literal["time", "packet"] | None = None  # time
-    start: v.Time | None = None  # of the trace; by default its first row
+    start: v.Time | None = None  # where the trace begins; default: its first row
     loop: bool | None = None
     offset: Literal["random"] | None = None  # with loop: for each link another place, drawn from the seed
     time_scale: v.PositiveNumber | None = None  # seconds of the run per second of the trace; 1
-    lost_below: v.Level | None = None  # of a trace with snr: at or below it a packet is lost
+    lost_below: v.Level | None = None  # with a trace that has snr: at or below this level a packet is lost
 
 
 def _preset(value: dict[str, Any]) -> Condition:

@@ -20,7 +20,6 @@ from fleet.scenario.schema.control import (
     AgentChoice,
     GuidanceChoice,
     GuidanceSection,
-    KeepApartSection,
     LawChoice,
     LawSection,
     NeighboursSection,
@@ -29,8 +28,9 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
-from fleet.scenario.schema.faults import FaultEntry, NemesisSection, SeaSection, TriggerSection
+from fleet.scenario.schema.faults import FaultEntry, SeaSection, TriggerSection
 from fleet.scenario.schema.groups import Group
+from fleet.scenario.schema.keep_apart import KeepApartSection
 from fleet.scenario.schema.motion import (
     FormationSection,
     GraphSection,
@@ -40,6 +40,7 @@ from fleet.scenario.schema.motion import (
     show_initial,
 )
 from fleet.scenario.schema.navigation import NavigationChoice
+from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
 from fleet.scenario.schema.nodes import Flag, Node, NodeName
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
@@ -69,9 +70,9 @@ class LogSection(Section):
     error: v.Ticks | None = None
     plant: v.Ticks | None = None  # what plants report
     clock: v.Ticks | None = None  # errors of clocks
-    belief: v.Ticks | None = None  # of vehicles that do not know where they are
-    located: v.Ticks | None = None  # of vehicles that use ranges
-    transforms: v.TicksOrNever | None = None  # of all vehicles, about 10 Hz; 0 ticks: never
+    belief: v.Ticks | None = None  # for vehicles that do not know where they are
+    located: v.Ticks | None = None  # for vehicles that use ranges
+    transforms: v.TicksOrNever | None = None  # for all vehicles together; default: about 10 Hz; 0 ticks: never
     scene: v.TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
     snapshot: v.Time | None = None  # has no effect; versions up to 1.0 wrote snapshots into the log
 
@@ -112,14 +113,14 @@ class ScenarioSpec(Section):
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]  # also names the run directory
     title: Annotated[str, BeforeValidator(_title)]  # what it shows, in one line
-    # Of fleet list, which reads it in the file. It decides nothing in a run, so it is checked and forgotten.
+    # `fleet list` reads the group in the file. It decides nothing in a run, so it is checked and forgotten.
     group: Annotated[Group | None, AfterValidator(lambda _: None), Field(exclude=True)] = None
     # Robots that are not ours, in place of vehicles; `fleet netem` serves them.
     nodes: Annotated[dict[NodeName, Node], Field(min_length=2)] | None = None
     carry: list[str] | None = None  # zenoh's key expressions of what the network carries; everything
     discovery: Literal["ideal", "linked"] | None = None  # linked: tokens need a link, too
     lost_after: v.Period | None = None  # linked: time without a link after which they are withdrawn; 10 s
-    header: v.NoBytes | None = None  # of a packet, beside its payload; 0 bytes
+    header: v.NoBytes | None = None  # bytes of a packet beside its payload; default: 0
     fragments: Flag | None = None  # in water: a message longer than a packet is sent as several
     vehicles: Annotated[int, Field(ge=1, le=3000)]
     duration: v.Period
@@ -138,7 +139,7 @@ class ScenarioSpec(Section):
     agents: AgentsSection = AgentsSection.model_construct()
     moored: bool | None = None  # true: vehicles stay where they begin, and agents need not steer
     external: bool | None = None  # true: the run starts no agent
-    knows_reference: bool | None = None  # false: only those in graph.reference and graph.standby know it
+    knows_reference: bool | None = None  # false: only the vehicles in graph.reference and graph.standby know it
     agent: AgentChoice | None = None  # in place of controller, guidance and tracking, which it may use; its clock
     controller: LawChoice = LawSection.model_construct(law="nboc")
     profile: Profile = "paper"

@@ -35,7 +35,7 @@ class VehicleSection(Section):
     """
 
     plant: PlantChoice | None = None  # none: it moves by the equations of the 5-DOF model
-    model: str | None = None  # that of the plant, or paper
+    model: str | None = None  # default: the model of the plant, or paper
     m: v.Mass | None = None
     Iy: v.Inertia | None = None
     Iz: v.Inertia | None = None

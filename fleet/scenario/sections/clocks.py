@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fleet.scenario.schema.control import ClockSection, DriftSection, OffsetSection
+from fleet.scenario.schema.clock import ClockSection, DriftSection, OffsetSection
 from fleet.scenario.schema.spec import ScenarioSpec, sections
 from netem.draws import normal
 from netem.vehicle_clock import VehicleClock

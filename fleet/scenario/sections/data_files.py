@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from fleet import quantities as q
 from fleet.errors import FleetError
+from netem.curve import Curve
 from netem.files import read_file
 from netem.limits import DATA_FILE
-from netem.modem import Curve
 from netem.parsing import nearest
 
 T = TypeVar("T")

@@ -34,24 +34,25 @@ from typing import Any, NamedTuple
 from fleet.quantities import show_time
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.schema.control import AgentSection
-from fleet.scenario.schema.faults import FaultSection, NemesisSection, TriggerSection
+from fleet.scenario.schema.faults import FaultSection, TriggerSection
+from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.draws import bits, uniform
 
-PURPOSE = "nemesis episodes"  # of the draws
-UNITS, QUIET = 3, 3  # of an episode: with faults, and without
+PURPOSE = "nemesis episodes"
+UNITS, QUIET = 3, 3  # units of an episode with faults, and then without
 MOST_EPISODES = 4
-MOST_FAULTS = 3  # of an episode
-SHARES = {1: 0.3, 2: 0.4, 3: 0.3}  # of the episodes with so many faults
+MOST_FAULTS = 3  # faults in one episode
+SHARES = {1: 0.3, 2: 0.4, 3: 0.3}  # number of faults: share of the episodes
 _FOR_GOOD = ("partition", "kill")  # kinds that may last to the end of the run
 KINDS = ("partition", "kill", "pause", "mute", "deaf", "hold", "duplicate")
-PARAMETERS = ("lease_s", "forget_after_s", "silence_s")  # of agents: times after which something is over
-_ROUNDS = 10  # of a unit that nothing states
-_ISOLATED = 1.0 / 3.0  # of the episodes: all faults cut off one vehicle each
-_SPLIT = 1.0 / 3.0  # of the episodes: the fleet is in two halves
+PARAMETERS = ("lease_s", "forget_after_s", "silence_s")  # of agents: after such a time something is over
+_ROUNDS = 10  # length of a unit if no parameter states one
+_ISOLATED = 1.0 / 3.0  # share of the episodes in which each fault cuts off one vehicle
+_SPLIT = 1.0 / 3.0  # share of the episodes in which the fleet is in two halves
 _ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM = range(10)
 _GOOD, _WATCH, _WAIT, _NTH, _THEN, _MOVES = range(10, 16)
-_PURPOSES = 16  # of draws
+_PURPOSES = 16
 _OF_EPISODE = 10  # numbers of draws that an episode may use
 
 
@@ -158,9 +159,9 @@ class _Drawn:
         if splits:
             self._split(first, begin, [kind for kind in kinds if kind != "partition"])
             return
-        side: list[int] = []  # of the partition that was drawn last
+        side: list[int] = []  # one side of the partition that was drawn last
         before: list[int] = []  # the target of the fault before
-        times = begin, begin  # of the fault before
+        times = begin, begin  # begin and end of the fault before
         for k in range(first, first + count):
             kind = "partition" if isolates else kinds[draws.among(len(kinds), k, _KIND)]
             at = self._after(begin, 8 * draws.among(UNITS, k, _UNIT) + draws.among(8, k, _EIGHTH))
@@ -199,7 +200,7 @@ class _Drawn:
             self._add(k, self._body(k, kinds[draws.among(len(kinds), k, _KIND)], target), at, self._length(k, end - at))
 
     def _after(self, begin: int, eighths: int) -> int:
-        """The time so many eighths of a unit after another one [ns], in whole ticks."""
+        """The time some eighths of a unit after another one [ns], in whole ticks."""
         tick = self._ground.spec.tick
         return begin + eighths * self._unit // 8 // tick * tick
 

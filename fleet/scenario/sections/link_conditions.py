@@ -4,46 +4,13 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from pathlib import Path
 
 from fleet.scenario.schema.network import LinkSection, LinkStateSection
-from fleet.scenario.sections.data_files import DataFileError, read_beside
-from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
+from fleet.scenario.sections.trace_table import TraceRow, TraceTable
 from netem.condition import Condition
-from netem.files import read_file
-from netem.grammar import parse_selector
-from netem.limits import TRACE
+from netem.link_selector import parse_selector
 from netem.link_states import LinkStates, stationary
 from netem.link_trace import LinkTrace
-
-# --- traces: a file beside the scenario, or the scenario itself, has one
-
-INSIDE = "in the scenario"  # the name of a trace that has no file
-
-
-def load_trace(text: str, folder: Path | None = None) -> TraceTable:
-    """The trace that a scenario names, from `folder` (the scenario's) or the current directory.
-
-    `text`: the path of a file that ends in `.csv`, or CSV with a line break. Raises DataFileError: there is no such
-    file, it cannot be read, or it has mistakes, each with its line.
-    """
-    if "\n" in text:
-        return read_csv(text, INSIDE)
-    if not text.endswith(".csv"):
-        raise DataFileError("trace", text[:80] or '""', ["expected a file that ends in .csv"])
-    return read_beside("trace", text, folder, read_trace, most_shown=80)
-
-
-def read_trace(path: Path) -> TraceTable:
-    """The trace in a file. Raises FileNotFoundError: there is none; DataFileError: as `load_trace`."""
-    try:
-        return read_csv(read_file(path, TRACE.bytes).decode("utf-8"), str(path))
-    except FileNotFoundError:
-        raise
-    except UnicodeDecodeError as error:
-        raise DataFileError("trace", str(path), [f"not UTF-8 text (byte {error.start})"]) from None
-    except (OSError, ValueError) as error:  # ValueError: the name has a null byte
-        raise DataFileError("trace", str(path), [getattr(error, "strerror", None) or str(error)]) from None
 
 
 def changing(selector: str, section: LinkSection, traces: Callable[[str], TraceTable]) -> LinkStates | LinkTrace | None:

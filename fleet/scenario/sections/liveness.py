@@ -12,13 +12,14 @@ from typing import Any
 
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.schema.checks import ChecksSection, SignalCheck
-from fleet.scenario.schema.faults import FaultSection, NemesisSection
+from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.sections import swarm
 from fleet.scenario.sections.graph import beside
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.draws import bits, uniform
 
-PURPOSE = "nemesis liveness"  # of the draws
+PURPOSE = "nemesis liveness"
 _NETWORK = ("kill", "mute", "deaf", "partition")
 _IDEAL = ("off",)
 _CORE, _BREAKS, _WHEN = range(3)  # what is drawn

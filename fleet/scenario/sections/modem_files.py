@@ -1,4 +1,4 @@
-"""Modem files, and at the end site files: the numbers of an acoustic modem in TOML, each with its unit and its source.
+"""Modem files: the numbers of an acoustic modem in TOML, each with its unit and its source.
 
 ```toml
 name = "my-modem"
@@ -14,7 +14,6 @@ delivery = { value = "12 m 95 %, 24 m 70 %", source = "lake trial, May 2024" }
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -53,7 +52,7 @@ _IN_PLACE = {"airtime": ("bit_rate", "preamble"), "delivery": ("lost_below", "cl
 _LEFT_OUT: dict[str, float] = {"processing": 0.0, "tries": 0, "timeout": 0.0, "acknowledgement": 0}
 WHOLE = ("mtu", "tries", "acknowledgement")
 _OF = {"mtu": " of bytes", "acknowledgement": " of bytes"}
-Values = dict[str, Any]  # of a modem: numbers, and curves or None
+Values = dict[str, Any]  # what a modem file says: numbers, and curves or None
 
 
 def shipped_modems() -> list[str]:
@@ -133,39 +132,3 @@ def modem_problems(values: Values) -> list[str]:
         if not all(0.0 <= share <= 1.0 for _, share in points)
     ]
     return problems
-
-
-# --- sites: water as it was at a sea trial, as numbers in TOML with their source and how well they fit
-
-_OF_SITES = {
-    "spreading": Number(q.NUMBER, 1.0, 3.0),
-    "excess": Number(q.LEVEL, -100.0, 200.0),
-    "shadowing": Number(q.LEVEL, 0.0, 30.0),
-    "rician": Number(q.NUMBER, 0.0, 1e6),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Site:
-    """The numbers of a site file; `netem.modem.AcousticConfig` says what they mean."""
-
-    spreading: float
-    excess: float  # dB
-    shadowing: float  # dB
-    rician: float
-
-
-def load_site(name: str, folder: Path | None = None) -> Site:
-    """A shipped site by its name, or that of a file in `folder` (the scenario's) or in the current directory.
-
-    Raises DataFileError: with every mistake that was found.
-    """
-    data, path = data_files.find("site", name, "netem.sites", folder)
-    texts = ("name", "title", "fit", "source")
-    values, problems = data_files.read("site", data, path, (*texts, "site"))
-    problems += [f"{key} is missing" for key in texts if not isinstance(values.get(key), str)]
-    numbers = table(values, "site", _OF_SITES, problems)
-    problems += out_of_range(numbers, _OF_SITES)
-    if problems:
-        raise DataFileError("site", path, problems)
-    return Site(**numbers)

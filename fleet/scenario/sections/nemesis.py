@@ -14,15 +14,16 @@ from fleet.scenario.faults.kind import OfLinks
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
-from fleet.scenario.schema.faults import FaultSection, NemesisPick, NemesisSection
+from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.schema.nemesis import NemesisPick, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes, liveness, swarm
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.condition import Link
 from netem.draws import bits
-from netem.grammar import Selector
+from netem.link_selector import Selector
 
-PURPOSE = "nemesis"  # of the draws
+PURPOSE = "nemesis"
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 
@@ -120,6 +121,7 @@ def _times(nemesis: NemesisSection, spec: ScenarioSpec) -> range:
 
 def _target(kind: str, name: str, spec: ScenarioSpec, number: int, links: Sequence[Link]) -> str:
     if isinstance(KINDS[kind], PartitionFault):
+        # The draw of a partition depends on its id, not on its place: a list that is sorted by time draws the same.
         cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]
     if isinstance(KINDS[kind], OfLinks):

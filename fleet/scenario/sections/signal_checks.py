@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf
@@ -19,7 +19,7 @@ from typing import Any, Literal
 from fleet.errors import FleetError
 from fleet.quantities import DIMENSIONS, NUMBER, Dimension, QuantityError, describe_value, show_time, vehicle_numbers
 from fleet.quantities import scalar as quantity
-from fleet.scenario.schema.checks import CONDITIONS, EVERY, SOMETIMES, SignalCheck
+from fleet.scenario.schema.checks import CONDITIONS, EVERY, ChecksSection, SignalCheck
 from fleet.scenario.sections.signals import (
     OF_THE_LAWS,
     OF_THE_PLANT,
@@ -30,29 +30,6 @@ from fleet.scenario.sections.signals import (
     parse_name,
     unit_of,
 )
-from world.plugins.checks import check_class
-from world.plugins.loading import load_class
-
-# --- checks in Python: their classes by name, and with what each is made
-
-NAME = "name"  # of the verdict; it and `sometimes` are the keys beside the parameters of the class
-
-
-def parameters_of(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters of a check as the scenario writes them."""
-    return {key: value for key, value in given.items() if key not in (NAME, SOMETIMES)}
-
-
-def load_check(name: str, parameters: Mapping[str, Any]) -> type[Any]:
-    """The class `package.module:Class` of a check that can be made with these parameters.
-
-    Raises UntrustedError: its module is not installed, and was not let in with `admit`; PluginError: there is no such
-    class, or it cannot be used.
-    """
-    methods = {"step": ("tick",)}
-    config = "what it may know of the scenario, fleet.checks.api.Facts"
-    return load_class("check", name, lambda found: check_class("check", name, found, methods, parameters, config))
-
 
 Over = Literal["each", "spread", "true"]  # what is compared: each vehicle's value, their spread, how many are true
 
@@ -91,7 +68,7 @@ class AskedOfSignal:
     unit: str  # "1": it has none
     vehicles: tuple[int, ...]
     condition: SignalCondition
-    negated: bool  # True: the samples count that meet the condition; False: those that do not
+    negated: bool  # True: samples that meet the condition count; False: samples that do not
     within_ns: int | None  # a liveness property must begin to hold within this time; None: it is a safety property
     least_ns: (
         int  # a safety property breaks if such samples last so long; 0: by one. A liveness property must hold so long
@@ -267,3 +244,18 @@ def _when(check: SignalCheck, condition: SignalCondition) -> str:
     if check.after and (check.eventually_within is None or check.fault is not None):
         words.append(f"after {show_time(check.after)}")
     return " ".join(words) + (f", vehicles {check.vehicles}" if check.vehicles else "")
+
+
+_HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")  # every report draws these two anyway
+
+
+def checked_signals(checks: ChecksSection, looked_at: Iterable[str] = ()) -> list[SignalName]:
+    """The signals that checks name or looked at, in their order, without the errors that are always drawn.
+
+    `checks`: of the scenario. `looked_at`: signals that judged checks looked at. Only what laws and plants report
+    counts there, since a check in Python may look at everything else.
+    """
+    texts = [check.topic for check in checks.signal or ()]
+    texts += [text for text in looked_at if text.partition(".")[0] in (*OF_THE_LAWS, OF_THE_PLANT)]
+    names = (parse_name(text) for text in dict.fromkeys(texts))
+    return [name for name in names if name is not None and name.name not in _HAVE_A_PICTURE]

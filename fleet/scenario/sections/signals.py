@@ -19,7 +19,6 @@ from typing import NamedTuple
 from agents.localization.localizer import Localizer
 from agents.signals import HEARD, SignalLayout
 from fleet.errors import FleetError
-from fleet.scenario.schema.checks import ChecksSection
 from netem.parsing import nearest
 from world.navigation.config import Navigation, NavigationTrace
 from world.signal import Signal, width_of
@@ -33,7 +32,7 @@ STATE = tuple(
         ("q", "rad/s", "pitch rate"), ("r", "rad/s", "yaw rate"),
     )
 )  # fmt: skip
-ROLL = (Signal("phi", "rad", "roll"), Signal("p", "rad/s", "roll rate"))  # behind those of STATE, of a vehicle with it
+ROLL = (Signal("phi", "rad", "roll"), Signal("p", "rad/s", "roll rate"))  # a vehicle that rolls has them behind STATE
 COMMAND = (
     Signal("tau", "N, N m, N m", "surge force, pitch and yaw moment as the agent commanded them", 3),
     Signal("applied", "N, N m, N m", "the same as the actuators applied them over the following tick", 3),
@@ -62,7 +61,7 @@ LOCATED = (
     Signal("off_norm", "m", "its Euclidean norm"),
     Signal("nees", "1", "its normalised square; of a consistent estimate chi-square with 2 degrees of freedom"),
 )
-CLOCK = (Signal("error", "s", "by how much its clock is ahead of simulated time"),)  # of a vehicle whose clock is set
+CLOCK = (Signal("error", "s", "by how much its clock is ahead of simulated time"),)  # only if the clock is set
 _ALWAYS = {"state": STATE, "nav": STATE, "command": COMMAND, "error": ERROR}
 OF_THE_LAWS = ("guidance", "control")  # groups whose signals the laws of a vehicle declare
 OF_THE_PLANT = "plant"  # the group whose signals the plant of a vehicle declares
@@ -157,7 +156,7 @@ class VehicleSignals(NamedTuple):
 
     layout: SignalLayout | None = None  # what its agent reports; None: that is not known
     plant: tuple[Signal, ...] | None = None  # what its plant reports; None: it has none
-    has_clock: bool = False  # its clock is set
+    has_clock: bool = False  # whether the clock of the vehicle is set
     belief: BeliefKind = BeliefKind.NONE  # what it believes of its place
 
     def groups(self) -> dict[str, tuple[int, tuple[Signal, ...]]]:
@@ -230,20 +229,3 @@ def _hint(name: str, known: Mapping[str, int]) -> str:
     if not beside:
         return nearest(name, known) or f"there are {', '.join(dict.fromkeys(n.partition('.')[0] for n in known))}"
     return nearest(field, beside).replace('"', f'"{group}.', 1) or f"{group} has {', '.join(beside)}"
-
-
-# --- signals that the checks of a scenario are about: pictures show them without being asked
-
-_HAVE_A_PICTURE = ("error.e_norm", "error.formation_norm")  # of their own, everywhere
-
-
-def checked_signals(checks: ChecksSection, looked_at: Iterable[str] = ()) -> list[SignalName]:
-    """The signals that checks name or looked at, in their order, without the errors that are always drawn.
-
-    `checks`: of the scenario. `looked_at`: signals that judged checks looked at. Only what laws and plants report
-    counts there, since a check in Python may look at everything else.
-    """
-    texts = [check.topic for check in checks.signal or ()]
-    texts += [text for text in looked_at if text.partition(".")[0] in (*OF_THE_LAWS, OF_THE_PLANT)]
-    names = (parse_name(text) for text in dict.fromkeys(texts))
-    return [name for name in names if name is not None and name.name not in _HAVE_A_PICTURE]

@@ -15,9 +15,8 @@ meanwhile, because with any protocol the vehicle may tumble then.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import cache
 from math import log
 from typing import Any, NamedTuple
 
@@ -25,140 +24,28 @@ from fleet.scenario.faults.kind import OfFleet, OfLinks, Strength, between
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import DownFault, PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
-from fleet.scenario.schema.faults import CONDITIONS, Aim, FaultSection, NemesisPick, NemesisSection
+from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.schema.nemesis import CONDITIONS, Aim, NemesisPick, NemesisSection
 from fleet.scenario.sections.graph import beside, reached
-from fleet.scenario.sections.nemesis_targets import NemesisTargets, Pair, free_name
+from fleet.scenario.sections.nemesis_targets import (
+    NemesisTargets,
+    Pair,
+    available,
+    bridges,
+    free_name,
+    hubs,
+    last_slot,
+    leader,
+    without,
+)
 from netem.condition import Condition
 from netem.draws import bits, uniform
-from netem.grammar import Selector, print_condition, select
+from netem.grammar import print_condition
+from netem.link_selector import Selector, select
 
-# --- aims
-# Whom a fault is aimed at: resolved before the run, from the graph and the faults that are drawn before it.
-#
-# | aim | what it means |
-# |---|---|
-# | any | drawn |
-# | leader | `nemesis.leader`; else the vehicle that alone follows the reference; else the one with the lowest number |
-# | hub | the vehicle with the most links, one of these if there are several |
-# | bridge | a pair of vehicles without whose links the fleet falls apart, while the faults that hold then do |
-# | speaker | the vehicle that spoke last: whose silence ended last; if none was silent, with tdma the last slot's |
-#
-# In every round of a network without slots all vehicles speak at once. So the last vehicle to speak is the one with the
-# latest new beginning: after a fault that made it mute, killed or suspended it, or cut it off.
-
-
-MOST_PAIRS = 20_000  # of a graph in which bridges are looked for
-
-
-def leader(ground: NemesisTargets) -> int:
-    """The vehicle that leads as far as the scenario says."""
-    nemesis, followers = ground.spec.nemesis, ground.followers
-    if nemesis is not None and nemesis.leader is not None:
-        return nemesis.leader
-    return followers[0] if len(followers) == 1 else 1
-
-
-def hubs(ground: NemesisTargets) -> list[int]:
-    """The vehicles with the most links, both directions counted."""
-    count = dict.fromkeys(range(1, ground.spec.vehicles + 1), 0)
-    for src, dst in ground.links:
-        count[src] += 1
-        count[dst] += 1
-    most = max(count.values())
-    return [i for i, links in count.items() if links == most]
-
-
-def available(ground: NemesisTargets) -> list[Aim]:
-    """The aims that make sense for a fleet: alone, a vehicle is all of them."""
-    return ["any", "leader", "hub", "bridge", "speaker"] if ground.links else ["any"]
-
-
-@cache
-def bridges(pairs: frozenset[Pair]) -> tuple[Pair, ...]:
-    """The pairs without which some vehicle is not connected any more with another one, in order.
-
-    Bridges of an undirected graph (R. E. Tarjan, "A note on finding the bridges of a graph", Inf. Proc. Letters 2,
-    1974), without recursion.
-    """
-    if len(pairs) > MOST_PAIRS:
-        return ()
-    near = beside(sorted(pairs))
-    order: dict[int, int] = {}
-    low: dict[int, int] = {}
-    found: list[Pair] = []
-    for root in near:
-        if root in order:
-            continue
-        order[root] = low[root] = len(order)
-        walk = [(root, 0, iter(near[root]))]
-        while walk:
-            at, parent, others = walk[-1]
-            for other in others:
-                if other not in order:
-                    order[other] = low[other] = len(order)
-                    walk.append((other, at, iter(near[other])))
-                    break
-                if other != parent:
-                    low[at] = min(low[at], order[other])
-            else:
-                walk.pop()
-                if walk:
-                    low[parent] = min(low[parent], low[at])
-                    if low[at] > order[parent]:
-                        found.append((min(at, parent), max(at, parent)))
-    return tuple(sorted(found))
-
-
-def last_slot(ground: NemesisTargets) -> int | None:
-    """With tdma the vehicle that has the last slot of a frame; None: there are no slots."""
-    acoustic = ground.spec.network.acoustic
-    return ground.spec.vehicles if acoustic is not None and acoustic.mac == "tdma" else None
-
-
-def without(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int]) -> frozenset[Pair]:
-    """The pairs that are left where some are cut and some vehicles silent."""
-    return frozenset(p for p in pairs if p not in cut and p[0] not in silent and p[1] not in silent)
-
-
-# --- conditions of links
-# How strong a drawn condition is: one number from 0 (mild) to 1 (strong), on a logarithmic scale; the other kinds have
-# their own scale in `fleet.scenario.faults`.
-#
-# | condition | from | to |
-# |---|---|---|
-# | loss | 5 % | 100 %, over the link's own condition |
-# | delay | a fifth of a round | 50 rounds more, with a quarter of it as jitter |
-# | rate | 20 kbit/s | 200 bit/s |
-
-
-MOST_CONDITIONS = 16  # links that keep their own condition below a fault; of more links it has one for all
-
-
-def condition(kind: str, own: Condition, strength: Strength) -> Condition:
-    """The condition of a link with a fault of loss, delay or rate over its own."""
-    match kind:
-        case "loss":
-            return replace(own, loss=max(own.loss, strength.between(0.05, 1.0)), loss_model=None)
-        case "delay":
-            late = strength.later_ns
-            return replace(own, delay_ns=own.delay_ns + late, jitter_ns=max(own.jitter_ns, late // 4))
-    rate = round(between(200.0, 20_000.0, 1.0 - strength.size))
-    return replace(own, rate_bit_s=min(own.rate_bit_s or rate, rate))
-
-
-def link_fault(kind: str, selector: Selector, ground: NemesisTargets, strength: Strength) -> dict[str, str]:
-    """A fault of links: each over the link's own condition, where that is one and the links are few."""
-    links = select(selector, ground.links)
-    each = {link: condition(kind, ground.conditions.get(link, Condition()), strength) for link in links}
-    if len(set(each.values())) == 1:
-        return {str(selector): print_condition(next(iter(each.values())))}
-    if len(each) <= MOST_CONDITIONS:
-        return {f"{a}->{b}": print_condition(one) for (a, b), one in each.items()}
-    return {str(selector): print_condition(condition(kind, Condition(), strength))}
-
-
-PURPOSE = "nemesis swarm"  # of the draws
+PURPOSE = "nemesis swarm"
 MOST = 5000  # faults that are drawn
+MOST_CONDITIONS = 16  # links that keep their own condition below a fault; of more links it has one for all
 _MOST_HELD_NS = 5_000_000_000
 _NETWORK = ("partition", "down", "loss", "delay", "rate", "mute", "deaf", "slow", "pause", "kill")
 _IDEAL = ("freeze", "off", "stuck", "bias", "noise", "dropout")
@@ -169,7 +56,7 @@ class DrawnFault(NamedTuple):
     """A fault before it has a target."""
 
     number: int  # from 1; what is drawn of its target goes by it
-    pick: NemesisPick  # its kind, or the fault as the scenario gives it
+    pick: NemesisPick  # the kind of the fault, or the fault as the scenario gives it
     at: int  # ns
     lasts: int  # ns
     aim: Aim = "any"
@@ -304,7 +191,7 @@ class _Past:
 def _body(
     one: DrawnFault, lasts: int, ground: NemesisTargets, past: _Past
 ) -> tuple[dict[str, Any], set[Pair], set[int]]:
-    """The body of a fault of so many ns, the pairs that it cuts, and the vehicles that it silences."""
+    """The body of a fault with its length [ns], the pairs that it cuts, and the vehicles that it silences."""
     word = one.pick.drawn
     if word is None:
         return one.pick.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True), set(), set()
@@ -398,3 +285,36 @@ def _partition(one: DrawnFault, ground: NemesisTargets, past: _Past) -> str:
     among = ("halves",) if one.pieces > 1 else ("halves", *DRAWN_PARTITIONS)  # each piece would cut something else
     ways = [way for way in among if partition(way, spec.vehicles, spec.seed, name, ground.links)]
     return ways[_among(one, ground, _TARGET, len(ways))] if ways else f"isolate:{ground.links[0][0]}"
+
+
+def condition(kind: str, own: Condition, strength: Strength) -> Condition:
+    """The condition of a link with a fault of loss, delay or rate over its own.
+
+    Its strength is one number from 0 (mild) to 1 (strong), on a logarithmic scale; the other kinds of faults have
+    their own scale in `fleet.scenario.faults`.
+
+    | condition | from | to |
+    |---|---|---|
+    | loss | 5 % | 100 %, over the link's own condition |
+    | delay | a fifth of a round | 50 rounds more, with a quarter of it as jitter |
+    | rate | 20 kbit/s | 200 bit/s |
+    """
+    match kind:
+        case "loss":
+            return replace(own, loss=max(own.loss, strength.between(0.05, 1.0)), loss_model=None)
+        case "delay":
+            late = strength.later_ns
+            return replace(own, delay_ns=own.delay_ns + late, jitter_ns=max(own.jitter_ns, late // 4))
+    rate = round(between(200.0, 20_000.0, 1.0 - strength.size))
+    return replace(own, rate_bit_s=min(own.rate_bit_s or rate, rate))
+
+
+def link_fault(kind: str, selector: Selector, ground: NemesisTargets, strength: Strength) -> dict[str, str]:
+    """A fault of links: each over the link's own condition, where that is one and the links are few."""
+    links = select(selector, ground.links)
+    each = {link: condition(kind, ground.conditions.get(link, Condition()), strength) for link in links}
+    if len(set(each.values())) == 1:
+        return {str(selector): print_condition(next(iter(each.values())))}
+    if len(each) <= MOST_CONDITIONS:
+        return {f"{a}->{b}": print_condition(one) for (a, b), one in each.items()}
+    return {str(selector): print_condition(condition(kind, Condition(), strength))}

@@ -30,7 +30,7 @@ from netem.faults import NetFault
 from netem.lives import Absence
 from netem.wire.messages import TimedFault, WorldFault
 
-MOST_RESTARTS = 3  # of one agent that no fault has killed: its next life would end the same way
+MOST_RESTARTS = 3  # an agent that ends by itself more often would end the same way again
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Event:
     """The begin or the end of a fault, for the log and the console."""
 
     tick: int
-    fault: str  # its id
+    fault: str  # id of the fault
     action: str  # begins | ends
     what: str  # in the words of the scenario
 

@@ -17,15 +17,17 @@ import re
 from dataclasses import dataclass
 from decimal import Decimal
 from io import StringIO
+from pathlib import Path
 
 from fleet import quantities as q
-from fleet.scenario.sections.data_files import DataFileError
+from fleet.scenario.sections.data_files import DataFileError, read_beside
 from netem.condition import Condition
+from netem.files import read_file
 from netem.limits import TRACE
 from netem.parsing import LONGEST_NUMBER, NUMBER, nearest, quoted
 
 _MOST_PROBLEMS = 5
-_MOST_COLUMNS = 20  # of which each is looked at
+_MOST_COLUMNS = 20  # every column costs a look at each row
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 _UNITS = {"time": q.TIME, "delivered": q.NUMBER, "delay": q.TIME, "rate": q.BIT_RATE, "snr": q.LEVEL}
 _PRINTED = {"time": "s", "delivered": "", "delay": "ms", "rate": "bit/s", "snr": "dB"}
@@ -192,3 +194,31 @@ def _cell(row: TraceRow, name: str) -> str:
 def _decimal(number: int | None, parts: int) -> str:
     """A whole number of parts, exactly."""
     return "" if number is None else f"{(Decimal(number) / parts).normalize():f}"
+
+
+INSIDE = "in the scenario"  # the name of a trace that has no file
+
+
+def load_trace(text: str, folder: Path | None = None) -> TraceTable:
+    """The trace that a scenario names, from `folder` (the scenario's) or the current directory.
+
+    `text`: the path of a file that ends in `.csv`, or CSV with a line break. Raises DataFileError: there is no such
+    file, it cannot be read, or it has mistakes, each with its line.
+    """
+    if "\n" in text:
+        return read_csv(text, INSIDE)
+    if not text.endswith(".csv"):
+        raise DataFileError("trace", text[:80] or '""', ["expected a file that ends in .csv"])
+    return read_beside("trace", text, folder, read_trace, most_shown=80)
+
+
+def read_trace(path: Path) -> TraceTable:
+    """The trace in a file. Raises FileNotFoundError: there is none; DataFileError: as `load_trace`."""
+    try:
+        return read_csv(read_file(path, TRACE.bytes).decode("utf-8"), str(path))
+    except FileNotFoundError:
+        raise
+    except UnicodeDecodeError as error:
+        raise DataFileError("trace", str(path), [f"not UTF-8 text (byte {error.start})"]) from None
+    except (OSError, ValueError) as error:  # ValueError: the name has a null byte
+        raise DataFileError("trace", str(path), [getattr(error, "strerror", None) or str(error)]) from None

@@ -19,7 +19,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.signal_checks import SignalCheckError, SignalCondition, ask, named_signal
 from fleet.scenario.sections.signals import SignalName, SignalPlace
 
-RELATIVE = ("itself", "others", "neighbours")  # of the agent whose report it is
+RELATIVE = ("itself", "others", "neighbours")  # seen from the agent that reports
 _RELATIVE = re.compile(rf"\b({'|'.join(RELATIVE)})\b")
 
 

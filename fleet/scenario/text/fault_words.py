@@ -1,7 +1,7 @@
 """Faults and link conditions in words, as `fleet inject` and the options `--fault` and `--net` take them.
 
     FAULT  := { at TIME | for TIME | id NAME } KIND TARGET       in any order: TIME and NAME may also stand at the end
-    TARGET := SELECTOR CONDITION [, SELECTOR CONDITION ...]      of a link; `netem.grammar` has both
+    TARGET := SELECTOR CONDITION [, SELECTOR CONDITION ...]      of a link; `netem.grammar`, `netem.link_selector`
             | KEY=VALUE ...                                      of noise, slow, gust and others with several values
             | what a scenario has behind the kind                of the others, as in kill 3 or partition 1,2 / 3,4
 

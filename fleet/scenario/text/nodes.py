@@ -24,7 +24,7 @@ UNTIL_STOPPED_NS = 86_400 * 10**9
 UNTIL_STOPPED = "86400 s"
 TICK, TICK_IN_WATER = "1 ms", "10 ms"
 _ROUND = "100 ms"
-_RADIUS_M = 50.0  # of the circle on which nodes without a place are drawn
+_RADIUS_M = 50.0  # nodes without a place are drawn on a circle of this radius
 _SECTIONS = ("graph", "network", "faults", "nemesis", "checks")
 _EDGE = re.compile(r"\s*(\w+)\s*(<->|->|-)\s*(\w+)\s*", re.ASCII)
 

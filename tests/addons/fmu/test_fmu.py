@@ -21,10 +21,11 @@ from fleet.addons.fmu import fmu
 from fleet.addons.fmu.fmu import FmuPlant, fmu_class
 from fleet.addons.fmu.fmu_variables import Description, UnitVariable, _Reader
 from world.api import PlantConfig, Vec3, Vec6, Water
-from world.config import PlantSetup, VehicleParams
+from world.config import PlantSetup
 from world.errors import FmuError, PlantError, PluginError, UntrustedError
 from world.plants.classes import plant_class
 from world.plants.fenced_plant import FencedPlant
+from world.vehicle_params import VehicleParams
 
 CONFIG = PlantConfig(2, 0.01, 1, VehicleParams(*[1.0] * 14))
 REST: Vec6 = (0.0,) * 6

@@ -15,7 +15,7 @@ from refusals import check_refusals
 from fleet.addons.hosts import certificates
 from fleet.addons.hosts.rendezvous import listening
 from fleet.errors import FleetError
-from netem.files import write_whole
+from netem.whole_file import write_whole
 
 x509 = pytest.importorskip("cryptography.x509", reason="cryptography is not installed: pip install 'uuv-fleet[hosts]'")
 
@@ -92,7 +92,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path: Path, mon
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("netem.files.os.replace", full)
+    monkeypatch.setattr("netem.whole_file.os.replace", full)
     with pytest.raises(OSError, match="No space"):
         write_whole(file, b"new")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("key.pem", b"old")]

@@ -15,7 +15,7 @@ from small_scenario import small
 
 from fleet.addons.learning.parallel_env import parallel_env
 from fleet.errors import FleetError
-from fleet.execution.stepped_run import run as run_once
+from fleet.execution.whole_run import run as run_once
 
 pytest.importorskip("pettingzoo", reason="the extra [rl] is not installed")
 from gymnasium.utils.env_checker import data_equivalence
@@ -238,7 +238,7 @@ def test_an_episode_that_is_over_or_has_not_begun() -> None:
 
 
 def test_without_the_extra_its_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.logs.dataset.find_spec", lambda name: None)
+    monkeypatch.setattr("fleet.logs.table.find_spec", lambda name: None)
     with pytest.raises(FleetError, match=r"parallel_env needs pettingzoo, gymnasium, which are not .*uuv-fleet\[rl\]"):
         parallel_env(small())
 

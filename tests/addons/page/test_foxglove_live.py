@@ -28,7 +28,8 @@ from fleet.logs.reader import LogReader
 from fleet.logs.seekable_log import SeekableLog
 from fleet.replay.live_journal import LiveJournal, pack_counts
 from fleet.replay.observed import Observed, host_observed, new_observed
-from fleet.replay.playback import PlaybackOptions, Replay
+from fleet.replay.playback import Replay
+from fleet.replay.player import PlaybackOptions
 from fleet.replay.topics import Stamp, pack
 from fleet.terminal.status_line import StatusLine
 from netem.wire.credentials import Credentials

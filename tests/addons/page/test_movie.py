@@ -24,7 +24,8 @@ from fleet.addons.page.movie import write
 from fleet.addons.page.movie_scene import SCENE_PT, Camera, MovieScene
 from fleet.addons.page.view_state import ViewState
 from fleet.errors import FleetError
-from fleet.recorder.scene.styles import PRINT, LinkState
+from fleet.recorder.scene.link_state import LinkState
+from fleet.recorder.scene.styles import PRINT
 from fleet.scenario.loading import load_scenario
 
 CUT = PRINT.links[LinkState.CUT].colour

@@ -29,11 +29,11 @@ from fleet.addons.pictures.runs import Run, View, labels_of, load, with_gaps
 from fleet.addons.pictures.style import panels, plain_decades
 from fleet.addons.pictures.verbs.choice import KINDS, PARTS
 from fleet.errors import FleetError
-from fleet.logs.dataset import columns
 from fleet.logs.export import export
-from fleet.logs.topic_names import run_name
+from fleet.logs.run_name import run_name
+from fleet.logs.table import columns
 from fleet.result.file import read_result
-from netem.fault_kinds import LOSSES, Cause
+from netem.cause import LOSSES, Cause
 from netem.ledger import Account
 
 pytestmark = pytest.mark.usefixtures("coarse")

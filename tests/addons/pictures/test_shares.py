@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 from fleet.addons.pictures.exchange import FATES
 from fleet.addons.pictures.packet_shares import LATE, MOST_ROWS, Row, fold, strips, time_bins, timeline
 from fleet.addons.pictures.runs import Run, View, load
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 
 BEGIN_S, END_S = 2.53, 3.17  # of the partition: no edge of an even bin
 

@@ -20,9 +20,8 @@ from fleet.logs.mcap_writer import McapWriter
 from fleet.replay.capture import TrafficWriter
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.link_conditions import read_trace
-from fleet.scenario.sections.trace_table import TraceTable
-from fleet.scenario.text.yaml_reader import inline
+from fleet.scenario.sections.trace_table import TraceTable, read_trace
+from fleet.scenario.text.yaml_writer import inline
 from netem.limits import TRACE
 from netem.relay import PUT, Relay, RobotMessage
 from netem.wire.open_bus import ZenohSample

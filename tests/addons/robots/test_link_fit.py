@@ -19,7 +19,8 @@ from fleet.addons.robots.hidden_markov import _expect, fit_losses
 from fleet.addons.robots.verbs.fit import fit_lines
 from fleet.errors import FleetError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
-from fleet.scenario.text.yaml_reader import Source, inline, plain, read
+from fleet.scenario.text.yaml_reader import Source, plain, read
+from fleet.scenario.text.yaml_writer import inline
 from netem.condition import Condition
 from netem.grammar import print_condition
 from netem.link_states import LinkStates, StateProcess

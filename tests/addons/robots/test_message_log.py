@@ -62,7 +62,7 @@ def test_a_place_that_is_not_finite_is_refused(value: float, where: int) -> None
 def test_without_the_extra_a_message_has_its_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ended a live network."""
     name = key("auv1/pose", POSE)
-    monkeypatch.setattr("fleet.logs.dataset.find_spec", lambda name: None)
+    monkeypatch.setattr("fleet.logs.table.find_spec", lambda name: None)
     log = LogFile(tmp_path / "run.mcap")
     MessageLog(log, 1_000_000, ("auv1",)).write(LoggedMessage(5, 1, name, "put", "application/cdr", b"abc"))
     log.close()

@@ -10,7 +10,7 @@ from marks import slow
 
 from fleet.addons.studies.bare_run import bare_verdicts, fits
 from fleet.addons.studies.one_run import Task, make_run
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 

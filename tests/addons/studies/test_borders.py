@@ -27,7 +27,7 @@ from fleet.addons.studies.store import Store
 from fleet.addons.studies.study import Study
 from fleet.addons.studies.sweep import run_study
 from fleet.addons.studies.values import parse_axis
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.scenario.text.overrides import NET, SET, Override
 
 LINKS = Override(NET, "* delay {delay} loss {loss}")

@@ -17,7 +17,7 @@ from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.rare import RareEvent, Splitting
 from fleet.addons.studies.record import NAME, read_record
 from fleet.addons.studies.search import SearchResult, search
-from fleet.execution.stepped_run import judged, run
+from fleet.execution.whole_run import judged, run
 
 NEMESIS = "nemesis={every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}"
 CHECKS = (

@@ -21,7 +21,7 @@ from fleet.addons.studies.engine import local_engine
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import PartRow, Row
 from fleet.execution.moments import reach
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.recorder.start import Leg, Start
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario

@@ -16,7 +16,7 @@ from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import CheckRow, Covered, Row
 from fleet.addons.studies.search import SearchResult, nemesis_of, search
 from fleet.addons.studies.statistics import most_failures
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.episodes import chance

@@ -15,12 +15,12 @@ from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import CheckRow, Row
 from fleet.addons.studies.shrink import Shrinker, ddmin, number_places
 from fleet.errors import ScenarioError
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
-from netem.grammar import parse_selector
+from netem.link_selector import parse_selector
 
 FAULTS = (
     "faults=["

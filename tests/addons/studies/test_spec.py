@@ -25,7 +25,8 @@ from fleet.cli.declare import command
 from fleet.errors import printable
 from fleet.option import fields
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
-from fleet.scenario.text.yaml_reader import Source, yaml_text
+from fleet.scenario.text.yaml_reader import Source
+from fleet.scenario.text.yaml_writer import yaml_text
 
 TEXTS = st.text(max_size=30).filter(lambda text: printable(text) == text) | st.sampled_from(
     ["20", "1e-3", "true", "null", "~", "", "- a", "a: b", "#", "{a: 1}", "{a: {b: [1, x y]}}", "[1, 2]", "{name}"]

@@ -29,7 +29,7 @@ from fleet.addons.studies.summary import summarise
 from fleet.addons.studies.sweep import Progress, load_points, modules_again, prepare, run_study
 from fleet.addons.studies.values import parse_axis
 from fleet.errors import ScenarioError
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.text.overrides import NET, SET, Override
 from world.plugins.trust import trusting

@@ -17,7 +17,7 @@ from fleet.execution.options import Options
 from fleet.result.result import Status
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario
-from fleet.scenario.sections.per_vehicle import load_vehicle
+from fleet.scenario.sections.vehicle_files import load_vehicle
 from world.api import PlantConfig, Water
 
 SWITCHED_OFF = re.compile(r"^ *#(?=[^ #\n])", re.M)  # a key that may be switched on; prose has a space behind its #

@@ -10,8 +10,8 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
-from fleet.analysis.border import FINE, SLOW, LinearFleet, Link, Member, VehicleRound, linear_fleet
-from fleet.analysis.linear import Linear, NotLinear
+from fleet.analysis.border import FINE, SLOW, LinearFleet, linear_fleet
+from fleet.analysis.linear import Linear, Link, Member, NotLinear, VehicleRound
 from fleet.analysis.stability import analyse, report
 from fleet.scenario.loading import load_scenario
 

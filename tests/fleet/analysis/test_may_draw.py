@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from small_scenario import small
 
-from fleet.analysis.preflight import may_draw
-from fleet.execution.stepped_run import run
+from fleet.analysis.randomness import may_draw
+from fleet.execution.whole_run import run
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet.analysis import punctuality as timing
-from fleet.result.result import Punctual, Spread, Timing
+from fleet.result.timing import Punctual, Spread, Timing
 from netem.histogram import Histogram
 
 TIMES = {"count": 100, "negative": 0, "p50_ms": 1.0, "p95_ms": 1.0, "p99_ms": 1.0, "max_ms": 1.0, "histogram_ms": []}

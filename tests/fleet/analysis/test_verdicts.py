@@ -19,7 +19,8 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.recorder.journal import Journal
 from fleet.repeat.recorded_run import script
-from fleet.result.result import Result, Status, json_text
+from fleet.result.json_text import json_text
+from fleet.result.result import Result, Status
 from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
@@ -516,9 +517,9 @@ def test_what_was_replaced_is_not_called_lost(tmp_path: Path, capsys: pytest.Cap
     """Payloads that news overtook in the modem have a column of their own, and do not count on the progress line."""
     from rich.console import Console
 
-    from fleet.execution.execute import ProgressLine
+    from fleet.execution.progress import ProgressLine
+    from fleet.terminal.line import fit
     from fleet.terminal.status_line import StatusLine
-    from fleet.terminal.table import fit
 
     water = "network={period: 1 s, payload: compact, acoustic: {modem: mfsk-1066, mac: tdma, slot: 1500 ms}}"
     scenario = small("duration=8 s", water)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-from fleet.checks.own_checks import BUDGET_S
-from fleet.execution.stepped_run import judged
+from fleet.checks.python_check import BUDGET_S
+from fleet.execution.whole_run import judged
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.checks import CONDITIONS, SignalCheck
 

@@ -19,7 +19,7 @@ from fleet.execution.clock import GrantPolicy
 from fleet.execution.execute import execute
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import NoLog
 from fleet.recorder.writer import LogWriter

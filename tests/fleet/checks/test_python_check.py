@@ -10,10 +10,10 @@ from fed_checks import FAULTS, fate, fed
 from refusals import check_refusals
 from small_scenario import SMALL, small
 
-import fleet.checks.own_checks
-from fleet.checks.own_checks import CheckError
+import fleet.checks.python_check
+from fleet.checks.python_check import CheckError
 from fleet.errors import ScenarioError
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario
 
@@ -137,7 +137,7 @@ BODIES = (
 
 
 def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleet.checks.own_checks, "BUDGET_S", 0.05)
+    monkeypatch.setattr(fleet.checks.python_check, "BUDGET_S", 0.05)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
 
     def check(body: str) -> None:
@@ -152,10 +152,10 @@ def test_a_broken_check_is_no_pass(module: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_a_check_whose_process_is_suspended_is_not_broken(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As if it had been slow it was broken, and its verdict depended on what else the machine did."""
-    monkeypatch.setattr(fleet.checks.own_checks, "BUDGET_S", 0.1)
+    monkeypatch.setattr(fleet.checks.python_check, "BUDGET_S", 0.1)
     body = "self.n += 1; import time; time.sleep(0.25 if self.n == 1 else 0.0)"
     assert verdict(module, STEP + body + "\n").passed
-    monkeypatch.setattr(fleet.checks.own_checks, "PATIENCE", 2)
+    monkeypatch.setattr(fleet.checks.python_check, "PATIENCE", 2)
     assert "longer than its budget" in verdict(module, STEP + body + "\n").found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fleet.checks.api import Facts, Fault, Tick
-from fleet.checks.sides import Sides
+from fleet.checks.sides import ReachableGroups
 
 PATH = tuple(link for a in (1, 2, 3) for link in ((a, a + 1), (a + 1, a)))
 FACTS = Facts("four", 1, 4, 10.0, 0.01, 0.0, PATH, {})
@@ -48,19 +48,19 @@ ALL = ((1, 2, 3, 4),)
     ],
 )
 def test_faults_cut(faults: tuple[str, ...], groups: tuple[tuple[int, ...], ...]) -> None:
-    sides = Sides(FACTS)
+    sides = ReachableGroups(FACTS)
     sides.update(tick(0.0, *faults))
     assert sides.groups == groups
 
 
 def test_who_has_no_agent_is_on_no_side_and_passes_nothing_on() -> None:
-    sides = Sides(FACTS)
+    sides = ReachableGroups(FACTS)
     sides.update(tick(0.0, "kill 3", dead=(3,)))
     assert sides.groups == ((1, 2), (4,))
 
 
 def test_what_matters_is_when_the_sides_changed() -> None:
-    sides = Sides(FACTS)
+    sides = ReachableGroups(FACTS)
     changes = []
     for t, faults in ((0.5, ()), (1.0, ("mute 1",)), (2.0, ("mute 1", "freeze 2")), (3.0, ("freeze 2",))):
         sides.update(tick(t, *faults))

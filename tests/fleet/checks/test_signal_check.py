@@ -13,7 +13,7 @@ from small_scenario import small
 
 from fleet.checks.own_checks import OwnChecks
 from fleet.checks.values import LoggedValues
-from fleet.result.result import json_text
+from fleet.result.json_text import json_text
 from fleet.result.verdict import Verdict
 
 

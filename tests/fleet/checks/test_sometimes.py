@@ -11,7 +11,7 @@ from small_scenario import small
 from fleet.addons.studies.one_run import Task, make_run
 from fleet.addons.studies.row import Reached, Row, sometimes_names
 from fleet.addons.studies.search import SearchResult
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 
 PYTHON = "checks={signal: {name: deep, topic: state.z, above: %s, sometimes: true}, "
 

@@ -24,7 +24,7 @@ from fleet.cli.types import TIME, Effect, Fallback, Words
 from fleet.execution.options import Options
 from fleet.option import NEEDED, Kind, Limits, Option, fields
 from fleet.replay.player import PlaybackOptions
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 
 def verbs(group: click.Group = cli, path: tuple[str, ...] = ()) -> Iterator[tuple[str, click.Command]]:

@@ -12,7 +12,7 @@ from fleet.execution.hosting import Hosting, hosting
 from fleet.execution.options import Options
 from fleet.execution.rendezvous import Rendezvous
 from fleet.scenario.loading import load_scenario
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 
 OTHER_ROUTER = Options(Path(), rendezvous=Rendezvous(router="tcp/127.0.0.1:1"))
 OWN_LAW = "per_vehicle={1-60: {agent: {law: 'fleet.protocols.average:NaiveAverage'}}}"

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from failing_laws import module as module
 
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.result.result import Status
 
 FAILS = """\

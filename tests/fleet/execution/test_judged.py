@@ -15,7 +15,8 @@ from small_scenario import SMALL, small
 import fleet
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.stepped_run import override_texts, run
+from fleet.execution.stepped_run import override_texts
+from fleet.execution.whole_run import run
 from fleet.result.result import Status
 from fleet.scenario.loading import parse_scenario
 

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.recorder import Calls
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
-from fleet.execution.operator import WORST_LINKS, WORST_VEHICLES, event_rows, link_rows, vehicle_rows
+from fleet.execution.live_status import WORST_LINKS, WORST_VEHICLES, event_rows, link_rows, vehicle_rows
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M
 from fleet.scenario.loading import load_scenario

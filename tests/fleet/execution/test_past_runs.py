@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from live_directory import live_directory
 
 from fleet.errors import FleetError
-from fleet.execution.directory import (
+from fleet.execution.directory import RunDirectory
+from fleet.execution.past_runs import (
     BROKE,
     FAIL,
     FINISHED,
@@ -25,7 +26,6 @@ from fleet.execution.directory import (
     STOPPED,
     VERDICTS,
     PastRun,
-    RunDirectory,
     newest_run,
     past_runs,
     remove,

@@ -11,11 +11,11 @@ from rich.console import Console as Terminal
 from screens import assert_screen
 from small_scenario import small
 
-from fleet.execution import execute
-from fleet.execution.execute import ProgressLine
+from fleet.execution import progress
+from fleet.execution.progress import ProgressLine
 from fleet.result.result import Formation
 from fleet.terminal.status_line import StatusLine
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.ledger import Account
 
 OF_FLEET = Formation(12.345, 4, 11.5, 4)
@@ -58,10 +58,10 @@ def line(
     status = StatusLine(Terminal(file=out, force_terminal=live, width=width), quiet=False, first_s=0.0)
     show = ProgressLine(small("duration=180 s", *changes), recorded, status, lambda: waiting)
     monkeypatch.setattr(status, "due", lambda: False)
-    monkeypatch.setattr(execute, "time", SimpleNamespace(monotonic=lambda: 100.0))
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: 100.0))
     show()
     monkeypatch.setattr(status, "due", lambda: True)
-    monkeypatch.setattr(execute, "time", SimpleNamespace(monotonic=lambda: 104.0))
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: 104.0))
     show()
     return out.getvalue().removeprefix("\r").removesuffix("\x1b[K").removesuffix("\n")
 
@@ -92,7 +92,7 @@ def test_a_continuation_counts_from_its_start(monkeypatch: pytest.MonkeyPatch) -
 def test_there_is_no_speed_before_any_time_has_passed(monkeypatch: pytest.MonkeyPatch) -> None:
     out = io.StringIO()
     status = StatusLine(Terminal(file=out, force_terminal=True, width=200), quiet=False)
-    monkeypatch.setattr(execute, "time", SimpleNamespace(monotonic=lambda: 100.0))
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: 100.0))
     ProgressLine(small(), journal(), status, lambda: "")()
     assert "real time" not in out.getvalue() and "formation error" in out.getvalue()
 

@@ -27,9 +27,9 @@ from fleet.logs import columns, decoder, deviation, export, open_log, reader, re
 from fleet.logs.info import info_text, read_info
 from fleet.logs.open_log import Opening, Part
 from fleet.logs.reader import LogReader, LogReadError
-from fleet.terminal import status_line
-from netem.files import whole_file
+from fleet.terminal import progress
 from netem.limits import LOG_FAULTS, LOG_MESSAGE, LOG_RECORD, LOG_REST
+from netem.whole_file import whole_file
 
 MIB = 1 << 20
 LIMIT_S = 60.0
@@ -319,7 +319,7 @@ def test_equal_logs_are_compared_in_blocks(long: Path, monkeypatch: pytest.Monke
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["info", "export", "diff", "recover", "plot", "report"])
 def test_progress_is_told_on_stderr(command: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(status_line, "FIRST_S", 0.0)
+    monkeypatch.setattr(progress, "FIRST_S", 0.0)
     out = {
         "recover": ["-o", tmp_path / "a"], "export": ["--csv", tmp_path / "t", "--topics", "faults"],
         "plot": ["-o", tmp_path, "--what", "error"], "report": ["-o", tmp_path / "r.html"], "diff": [run],

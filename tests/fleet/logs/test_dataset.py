@@ -13,11 +13,11 @@ from mcap.writer import Writer
 
 import fleet
 from fleet.errors import FleetError
-from fleet.logs.dataset import columns
 from fleet.logs.export import export
 from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.schemas import UINT32, MessageField, flat_schema
+from fleet.logs.table import columns
 
 # What the files may say: udunits' own, with nothing of ours.
 UNITS = {"1", "m", "s", "rad", "N", "N m", "m/s", "rad/s", "1/s"}
@@ -142,7 +142,7 @@ def test_what_is_too_large_is_refused(log: Log, tmp_path: Path) -> None:
 def test_without_the_packages_a_line_says_what_to_install(
     what: str, log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fleet.logs.dataset.find_spec", lambda name: None)
+    monkeypatch.setattr("fleet.logs.table.find_spec", lambda name: None)
     calls: dict[str, Any] = {
         "to_xarray": log.to_xarray,
         "to_pandas": lambda: log.to_pandas("uuv/1/state"),

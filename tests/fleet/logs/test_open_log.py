@@ -24,11 +24,12 @@ from tool import invoke
 
 import fleet
 from fleet.errors import ScenarioError
+from fleet.logs.digest import Digest
 from fleet.logs.export import export, file_names
 from fleet.logs.fault_intervals import FaultInterval
-from fleet.logs.open_log import LogKeyError, Opening
+from fleet.logs.open_log import Opening
 from fleet.logs.reader import LogReader, LogReadError, digest
-from fleet.logs.records import Digest
+from fleet.logs.topic import LogKeyError
 from fleet.scenario.loading import load_scenario
 
 

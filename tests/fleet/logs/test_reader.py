@@ -16,8 +16,8 @@ from mcap.records import Message
 from mcap.writer import Writer
 
 from fleet.logs import records
+from fleet.logs.digest import Digest
 from fleet.logs.reader import LogReader, LogReadError, log_path, open_file
-from fleet.logs.records import Digest
 from netem.limits import LOG_RECORD
 
 

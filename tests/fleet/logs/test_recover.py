@@ -29,9 +29,10 @@ from repository import SUPPORT
 from tool import invoke
 
 from fleet.errors import FleetError
+from fleet.logs.other import Recovered
 from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
 from fleet.logs.records import MAGIC
-from fleet.logs.recover import Recovered, recover, recovery_text
+from fleet.logs.recover import recover, recovery_text
 from fleet.logs.salvage import Salvage
 from netem.limits import LOG_RECORD
 

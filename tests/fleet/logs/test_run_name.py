@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fleet.logs.topic_names import begun_at, run_name
+from fleet.logs.run_name import begun_at, run_name
 
 
 def test_the_time_that_the_name_of_a_run_says() -> None:

@@ -9,12 +9,13 @@ from tool import invoke
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.export import link_trace, write_traces
+from fleet.logs.link_traces import link_trace, write_traces
 from fleet.logs.open_log import Log, open_log
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.link_conditions import read_trace
-from fleet.scenario.text.yaml_reader import Source, inline, plain, read
+from fleet.scenario.sections.trace_table import read_trace
+from fleet.scenario.text.yaml_reader import Source, plain, read
+from fleet.scenario.text.yaml_writer import inline
 
 COMMON = ["checks={}"]
 EVENTS = (

@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-import fleet.processes.children
 from fleet.errors import RunBroken
-from fleet.processes.children import RunFolder
+from fleet.processes.run_folder import RunFolder
 from netem.private_folder import PREFIX, PrivateFolder
 
 START = """
@@ -40,7 +39,7 @@ def test_a_place_that_the_socket_cannot_have(place: str, monkeypatch: pytest.Mon
     monkeypatch.setattr(tempfile, "gettempdir", lambda: place)
     with closing(RunFolder()) as folder:
         assert folder.path.parent == Path("/tmp")
-    monkeypatch.setattr(fleet.processes.children, "SHORT", place)
+    monkeypatch.setattr("fleet.processes.run_folder.SHORT", place)
     with pytest.raises(RunBroken, match="set TMPDIR"):
         RunFolder()
 

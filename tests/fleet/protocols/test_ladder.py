@@ -9,7 +9,7 @@ import pytest
 from marks import slow
 from repository import ROOT
 
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.result.result import Result
 
 PAGE = (ROOT / "docs/guide/protocols/index.md").read_text("utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from marks import slow
 
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 
 SHORT = [
     "vehicles=3",

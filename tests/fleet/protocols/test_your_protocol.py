@@ -10,7 +10,7 @@ import pytest
 from repository import ROOT
 
 from agents.config import AgentConfig, Neighbour
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from netem.wire.messages import Delivery, Nav
 
 PAGE = (ROOT / "docs/guide/your-protocol.md").read_text("utf-8")

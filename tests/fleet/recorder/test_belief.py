@@ -23,7 +23,7 @@ from fleet.addons.pictures.runs import Run, View, load
 from fleet.addons.pictures.time_series import formation
 from fleet.addons.pictures.track import _believed, _tracks, space, top
 from fleet.logs.open_log import open_log
-from fleet.recorder.scene.model import NewestBeliefs, PlaceBelief, drawn_belief, ellipse
+from fleet.recorder.scene.belief import NewestBeliefs, PlaceBelief, drawn_belief, ellipse
 from fleet.recorder.scene.primitives import AreaShape, CrossShape, Primitive, plain
 from fleet.scenario.loading import load_scenario
 

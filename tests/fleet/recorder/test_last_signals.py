@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.scenario.loading import parse_scenario
 
 AVERAGE = """

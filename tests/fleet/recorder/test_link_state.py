@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.recorder.scene.styles import (
+from fleet.recorder.scene.link_state import (
     ARRIVED,
     BEHIND,
     CUT,
@@ -20,7 +20,7 @@ from fleet.recorder.scene.styles import (
     stale_after,
     state_of,
 )
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 
 ROUND_S = 0.1
 STALE_S = stale_after(ROUND_S)

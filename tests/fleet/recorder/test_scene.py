@@ -23,13 +23,14 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.decoder import _unit
 from fleet.logs.reader import LogReader
+from fleet.recorder.scene.link_state import CUTS, HISTORY
 from fleet.recorder.scene.messages import LinkHistories, Scene, hull
 from fleet.recorder.scene.model import diameter
-from fleet.recorder.scene.styles import CUTS, FOXGLOVE, HISTORY
+from fleet.recorder.scene.styles import FOXGLOVE
 from fleet.recorder.transforms import quaternion
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario
-from netem.fault_kinds import LOSSES, Cause
+from netem.cause import LOSSES, Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 
 FAULTS = "faults=[{at: 1.5 s, for: 1 s, partition: halves}, {at: 2 s, for: 600 ms, kill: 4}, {at: 2.2 s, pause: 1}]"

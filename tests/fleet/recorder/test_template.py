@@ -8,7 +8,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.recorder.transforms import Template, field
+from fleet.recorder.template import Template, field
 
 REALS = st.one_of(st.floats(), st.sampled_from([0.0, -0.0]))
 NAMES = st.text(max_size=200)

@@ -31,7 +31,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.log_rates import LOG_GROUPS
 from fleet.scenario.sections.signals import OF_THE_PLANT
 from fleet.scenario.sections.timeline import Event
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.wire.messages import Command, Fate, Frame, VehicleFrame
 from world.signal import width_of
 

@@ -18,7 +18,8 @@ import fleet.execution.in_process
 from agents.config import AgentConfig
 from agents.make_agent import make_agent
 from fleet.logs.schemas import Doubles, MessageField
-from fleet.repeat.verify import NotRecordedError, verification_lines, verify
+from fleet.repeat.recorded_agent import NotRecordedError
+from fleet.repeat.verify import verification_lines, verify
 from fleet.result.result import Status
 
 EXTERNAL = "per_vehicle={3: {external: true}}"

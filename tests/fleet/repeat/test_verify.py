@@ -28,9 +28,10 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import compare
+from fleet.logs.other import Recovered
 from fleet.logs.reader import LogReader, open_file
 from fleet.logs.records import Block, Message
-from fleet.logs.recover import Copy, Recovered, recover
+from fleet.logs.recover import Copy, recover
 from fleet.logs.salvage import Item, Salvage
 from fleet.repeat.resume import continuation
 from fleet.repeat.verify import Verification, verification_lines, verify

@@ -26,7 +26,8 @@ from fleet.logs.seekable_log import SeekableLog
 from fleet.replay import capture
 from fleet.replay.capture import ATTACHMENT, KIND, PublisherGone, TrafficWriter, message_encoding, zenoh_encoding
 from fleet.replay.topics import Stamp, pack, unpack
-from netem.wire.open_bus import OpenBus, ZenohSample, matching
+from netem.wire.key_expression import matching
+from netem.wire.open_bus import OpenBus, ZenohSample
 
 
 def traffic(path: Path, samples: list[ZenohSample], every_ns: int = 1_000_000) -> Path:

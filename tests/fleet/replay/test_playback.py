@@ -29,7 +29,8 @@ from fleet.logs.reader import Record
 from fleet.logs.seekable_log import SeekableLog
 from fleet.processes.interrupts import holding_interrupts
 from fleet.replay.capture import ENCODING, zenoh_encoding
-from fleet.replay.playback import PlaybackOptions, Replay
+from fleet.replay.playback import Replay
+from fleet.replay.player import PlaybackOptions
 from fleet.replay.topics import Stamp, ask_topics, pack, unpack
 from fleet.terminal.keyboard import Key
 from netem.wire.keys import Keys

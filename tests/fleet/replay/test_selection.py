@@ -6,7 +6,7 @@ import pytest
 
 from fleet.errors import FleetError
 from fleet.replay.playback import chosen
-from netem.wire.open_bus import matching
+from netem.wire.key_expression import matching
 
 
 @pytest.mark.parametrize(

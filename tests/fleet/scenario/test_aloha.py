@@ -7,7 +7,7 @@ import math
 import pytest
 from marks import slow
 
-from fleet.scenario.sections.acoustic import talking
+from fleet.scenario.sections.turns import talking
 from netem.config import NetemConfig
 from netem.modem import AcousticConfig, Modem
 from netem.network import Netem

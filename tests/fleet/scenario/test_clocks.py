@@ -7,8 +7,8 @@ from statistics import mean, stdev
 import pytest
 from small_scenario import read_back, small
 
-from fleet.analysis.stability import describe_slack, slack
-from fleet.execution.stepped_run import run
+from fleet.analysis.slots import describe_slack, slack
+from fleet.execution.whole_run import run
 from fleet.scenario.loading import load_scenario
 from netem.vehicle_clock import VehicleClock
 

@@ -16,13 +16,13 @@ from refusals import check_refusals
 from small_scenario import SMALL, read_back, small
 
 from fleet.analysis.link_shares import effective_loss, link_lines
-from fleet.analysis.preflight import may_draw, warnings
+from fleet.analysis.preflight import warnings
+from fleet.analysis.randomness import may_draw
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import changed, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.link_conditions import load_trace
-from fleet.scenario.sections.trace_table import TraceRow, TraceTable, read_csv
+from fleet.scenario.sections.trace_table import TraceRow, TraceTable, load_trace, read_csv
 from netem.condition import Condition
 from netem.grammar import WORDS, print_condition
 from netem.limits import TRACE

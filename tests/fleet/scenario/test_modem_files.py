@@ -18,9 +18,9 @@ from fleet.errors import ScenarioError
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.network import AcousticSection
-from fleet.scenario.sections.acoustic import turn_s
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.modem_files import CURVES, NUMBERS, load_modem, parse_modem, shipped_modems
+from fleet.scenario.sections.turns import turn_s
 from netem.modem import AcousticConfig, RangingConfig
 
 ACOUSTIC = SMALL.replace("duration: 1 s", "duration: 8 s")

@@ -17,7 +17,8 @@ from small_scenario import SMALL, read_back, small
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.navigation import NUMBERS, load_grade, parse_trace, shipped_grades
+from fleet.scenario.sections.navigation import NUMBERS, load_grade, shipped_grades
+from fleet.scenario.sections.navigation_trace import parse_trace
 from netem.fault_kinds import WorldFaultKind
 from world.navigation.config import DeadReckoning, NavigationTrace, TracePoint
 

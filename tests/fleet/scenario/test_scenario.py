@@ -17,12 +17,13 @@ from refusals import check_refusals
 from repository import EXPECTED
 from small_scenario import SMALL, WILD, accepted, places, read_back, small
 
-from agents.config import GuidanceParams, Neighbour, Offset, TrackingParams
+from agents.config import GuidanceParams, Neighbour, TrackingParams
+from agents.offset import Offset
 from agents.profiles import PROFILES, profile
 from agents.trajectory import StraightLine
 from fleet.errors import FleetError, ScenarioError
 from fleet.scenario.catalogue import list_scenarios
-from fleet.scenario.loading import EXAMPLES, load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.control import GuidanceSection, TrackingSection
 from fleet.scenario.schema.network import LinkSection, LinkStateSection
@@ -30,6 +31,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.formation import grid
 from fleet.scenario.sections.log_rates import DRAWN_GROUPS, LOG_GROUPS
 from fleet.scenario.text.yaml_reader import Source, plain, read, resolve
+from fleet.scenario.validation import EXAMPLES
 from fleet.scenario.value_types import Section
 from netem.condition import Condition
 

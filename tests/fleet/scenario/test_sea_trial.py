@@ -7,10 +7,10 @@ import pytest
 
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.sections.modem_files import load_modem
-from netem.fading import gain_db
-from netem.fault_kinds import Cause
+from netem.cause import Cause
 from netem.modem import AcousticConfig
 from netem.network import Netem
+from netem.propagation import fading_gain_db
 
 # Loss (not detected or not decoded) from row to column, nodes 21, 22, 27, 28, 29: org-arl/unet-contrib,
 # archive/samples/mission2012/Mission2012Channel.groovy, after Chitre et al., OCEANS 2013 Bergen.
@@ -59,7 +59,8 @@ def test_the_model_of_the_water_resembles_the_trial() -> None:
     means, differences, correlations = [], [], []
     for seed in range(1, 401):
         slow = [
-            [gain_db(seed, i, j, 0, acoustic.shadowing, 0, None) if i != j else 0.0 for j in range(5)] for i in range(5)
+            [fading_gain_db(seed, i, j, 0, acoustic.shadowing, 0, None) if i != j else 0.0 for j in range(5)]
+            for i in range(5)
         ]
         loss = 1 - np.exp(-(10 ** (-(margin + slow) / 10)))  # Rayleigh: the power of a packet is exponential
         means.append(loss[LINKS].mean())

@@ -25,7 +25,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.motion import GRAPH, FormationShape, GraphSection
 from fleet.scenario.sections.formation import SHAPES, offsets
 from fleet.scenario.sections.graph import build
-from fleet.scenario.sections.per_vehicle import load_vehicle
+from fleet.scenario.sections.vehicle_files import load_vehicle
 
 # --- formations ------------------------------------------------------------
 

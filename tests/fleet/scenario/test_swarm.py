@@ -9,13 +9,14 @@ from statistics import mean
 import pytest
 from small_scenario import read_back, small
 
-from fleet.execution.stepped_run import judged
+from fleet.execution.whole_run import judged
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.faults import WORDS, FaultSection, NemesisPick
-from fleet.scenario.sections import liveness, swarm
+from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.schema.nemesis import WORDS, NemesisPick
+from fleet.scenario.sections import liveness, nemesis_targets, swarm
 from fleet.scenario.sections.graph import beside, reached
 from fleet.scenario.sections.nemesis import within_limit
 from fleet.scenario.sections.swarm import DrawnFault
@@ -88,7 +89,7 @@ def test_aims_go_by_the_graph_and_by_what_was_before() -> None:
     line = small(*LONG, "graph={shape: path}", "vehicles=3")
     assert aimed(line, ("partition", "bridge", 1, 1))[0] in ("1 / 2,3", "1,2 / 3")
     ring = small(*LONG)
-    assert swarm.bridges(frozenset(ring.ground.pairs)) == ()
+    assert nemesis_targets.bridges(frozenset(ring.ground.pairs)) == ()
     # A ring has no bridge; while one pair is cut every other one is.
     (text,) = {t for t in aimed(ring, ("down", "any", 1, 9), ("partition", "bridge", 2, 1)) if "/" in t}
     assert all(vehicle_numbers(part) for part in text.split("/"))
@@ -105,7 +106,7 @@ def test_bridges_are_the_pairs_without_which_more_parts_are() -> None:
         def parts(some: frozenset[tuple[int, int]]) -> int:
             return len({min(reached([i], beside(some))) for i in range(1, 9)})
 
-        assert swarm.bridges(pairs) == tuple(sorted(p for p in pairs if parts(pairs - {p}) > parts(pairs)))
+        assert nemesis_targets.bridges(pairs) == tuple(sorted(p for p in pairs if parts(pairs - {p}) > parts(pairs)))
 
 
 CHECKS = (

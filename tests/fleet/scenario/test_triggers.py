@@ -11,8 +11,8 @@ from fleet.addons.studies.bare_run import _BareRun
 from fleet.checks.triggers import Triggers
 from fleet.checks.values import LoggedValues
 from fleet.errors import ScenarioError
-from fleet.execution.stepped_run import judged
 from fleet.execution.triggered import resolve_triggers
+from fleet.execution.whole_run import judged
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.terminal.table import GAP, Piece, fit, shortened
+from fleet.terminal.line import GAP, Piece, fit, shortened
 
 TIME = Piece(0, ["t = 1.0 / 60 s", "1.0/60 s"])
 BAR = Piece(3, ["------------", "------", ""])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 import os
+import sys
 from types import SimpleNamespace
 
 import pytest
 
-from fleet.terminal import table
-from fleet.terminal.table import TABLES, fold, say, stdout
+from fleet.terminal.width import TABLES, _width, fold, say, stdout
 
 PATH = "/a/long/path/which-is/copied/from-the/screen/run.mcap"
 
@@ -44,7 +44,7 @@ def test_only_a_terminal_folds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (screen.getvalue(), file.getvalue()) == ("one two\n  three\n", "one two three\n")
     monkeypatch.setattr("sys.stderr", Screen())
     say("one two three", err=True)
-    assert table.sys.stderr.getvalue() == "one two\n  three\n"  # type: ignore[attr-defined]
+    assert sys.stderr.getvalue() == "one two\n  three\n"  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
@@ -60,9 +60,9 @@ def test_the_width_of_a_terminal(
         return os.terminal_size((found, 24))
 
     monkeypatch.setenv("COLUMNS", columns)
-    monkeypatch.setattr("fleet.terminal.table.os.get_terminal_size", size)
+    monkeypatch.setattr("fleet.terminal.width.os.get_terminal_size", size)
     stream = SimpleNamespace(fileno=lambda: 1)
-    assert table._width(stream) == width  # type: ignore[arg-type]
+    assert _width(stream) == width  # type: ignore[arg-type]
 
 
 def test_tables_are_as_wide_as_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:

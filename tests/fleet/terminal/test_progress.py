@@ -8,7 +8,8 @@ import pytest
 from rich.console import Console as Terminal
 
 from fleet.terminal import status_line
-from fleet.terminal.status_line import BAR, StatusLine, bar, showing_jobs
+from fleet.terminal.progress import showing_jobs
+from fleet.terminal.status_line import BAR, StatusLine, bar
 
 
 def terminal(*, live: bool) -> tuple[Terminal, io.StringIO]:

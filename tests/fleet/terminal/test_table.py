@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
-from fleet.terminal.table import TerminalColumn, columns, fitting, say, show, width
+from fleet.terminal.table import TerminalColumn, columns, fitting, show, width
+from fleet.terminal.width import say
 
 COLUMNS = [
     TerminalColumn("link", ["1->2", "2->1"], justify="left"),

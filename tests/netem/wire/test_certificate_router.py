@@ -15,7 +15,7 @@ from waiting import wait_for
 
 import netem.wire.certificate_router as certificate_router
 from fleet.addons.hosts import certificates
-from fleet.processes.children import RunFolder
+from fleet.processes.run_folder import RunFolder
 from netem.errors import BusError
 from netem.limits import WIRE_MESSAGE
 from netem.wire.bus import Bus

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from fleet.addons.hosts.protocol.page import declared, fields_of, records, texts
 from netem.errors import MalformedMessage
 from netem.wire.codec import decode, encode, expect
-from netem.wire.mailbox import read_map
+from netem.wire.control import read_map
 from netem.wire.messages import Command, Grant, Hello, Message, Nav
 
 

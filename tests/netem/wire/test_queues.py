@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netem.limits import RELAY_WAITING
-from netem.wire import queues
-from netem.wire.queues import Inlet, Quota
+from netem.wire import robot_queues
+from netem.wire.queues import Quota
+from netem.wire.robot_queues import Inlet
 
 
 @given(st.integers(1, 5), st.lists(st.sampled_from(["come a", "come b", "go a", "go b"]), max_size=40))
@@ -32,7 +33,7 @@ def test_a_quota_holds_for_each_key_by_itself(most: int, events: list[str]) -> N
 def test_what_enters_is_bounded_in_messages_and_bytes_and_the_rest_is_counted(events: list[Any]) -> None:
     """A message of any size enters alone; whatever does not fit is told once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(queues, "RELAY_WAITING", RELAY_WAITING._replace(items=4, bytes=10))
+        patch.setattr(robot_queues, "RELAY_WAITING", RELAY_WAITING._replace(items=4, bytes=10))
         waiting: list[int] = []
         inlet, lost, told = Inlet(waiting.append), Counter[Any](), Counter[Any]()
         for event in (*events, "unfit"):
@@ -51,7 +52,7 @@ def test_what_enters_is_bounded_in_messages_and_bytes_and_the_rest_is_counted(ev
 
 
 def test_several_threads_that_let_in_exceed_no_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(queues, "RELAY_WAITING", RELAY_WAITING._replace(items=100))
+    monkeypatch.setattr(robot_queues, "RELAY_WAITING", RELAY_WAITING._replace(items=100))
     came: list[str] = []
     inlet = Inlet(came.append)
     threads = [Thread(target=lambda: [inlet.offer("x", 1, str) for _ in range(200)]) for _ in range(4)]
@@ -65,8 +66,8 @@ def test_several_threads_that_let_in_exceed_no_bound(monkeypatch: pytest.MonkeyP
 
 
 def test_names_of_what_does_not_fit_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(queues, "RELAY_WAITING", RELAY_WAITING._replace(items=1))
-    monkeypatch.setattr(queues, "_MOST_KINDS", 2)
+    monkeypatch.setattr(robot_queues, "RELAY_WAITING", RELAY_WAITING._replace(items=1))
+    monkeypatch.setattr(robot_queues, "_MOST_KINDS", 2)
     inlet = Inlet(lambda item: None)
     for number in range(6):
         inlet.offer(number, 1, lambda number=number: number)  # type: ignore[misc]

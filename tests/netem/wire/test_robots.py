@@ -18,7 +18,7 @@ from waiting import wait_for
 
 from netem.errors import BusError
 from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
-from netem.wire.queues import Inlet
+from netem.wire.robot_queues import Inlet
 from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, read
 from netem.wire.session import open_session
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from in_process_runs import Alone, log_of
 
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario
-from netem.wire.bus import PART_BYTES
 from netem.wire.messages import Fix, VehicleFrame
+from netem.wire.parts import PART_BYTES
 from world.navigation.config import NavigationTrace, TracePoint
-from world.navigation.kinds import ReplayedError
 from world.navigation.navigator import MOST_TOLD
+from world.navigation.trace_replay import ReplayedError
 from world.process import _row_bytes
 
 FAULTS = "faults=[{at: 500 ms, for: 1 s, fix: {lost: 50 %}}]"

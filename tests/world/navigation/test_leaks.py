@@ -9,7 +9,7 @@ import pytest
 
 from agents.agent import Agent
 from agents.payload import decode as decode_payload
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Delivery, Nav
 from world.run_state import RunState

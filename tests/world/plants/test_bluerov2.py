@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from world.api import PlantConfig, PlantState, Vec3, Vec6, Water
-from world.config import VehicleParams
 from world.plants import bluerov2
 from world.plants.bluerov2 import ADDED, INERTIA, LINEAR, MASS, QUADRATIC, BlueROV2, G, allocation, wrench
+from world.vehicle_params import VehicleParams
 
 H = 0.005
 STILL: Vec6 = (0.0,) * 6

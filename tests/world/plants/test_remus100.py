@@ -10,7 +10,7 @@ import pytest
 from remus_reference import MANOEUVRES, MEASURES, Run, driven, reference, stored
 from repository import ROOT
 
-from fleet.scenario.sections.per_vehicle import load_vehicle
+from fleet.scenario.sections.vehicle_files import load_vehicle
 from world.api import PlantConfig, Vec3, Vec6, Water
 from world.plants.classes import plant_class
 from world.plants.remus100 import BODY, FIN_LIMIT, HULLS, N_LIMIT, Hull, Remus100, allocate, moved, revolution

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from world.plugins.checks import shown_path
+from world.plugins.error_place import shown_path
 
 
 def test_paths_below_the_current_directory_are_relative(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

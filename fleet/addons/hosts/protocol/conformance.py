@@ -25,7 +25,7 @@ from agents import payload
 from agents.join_file import JoinFile
 from fleet.errors import FleetError
 from fleet.execution.rendezvous import Rendezvous
-from fleet.processes.limits import free_port
+from fleet.processes.ports import free_port
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.private_folder import PrivateFolder

@@ -18,17 +18,18 @@ from agents.config import (
     Law,
     LocalizationParams,
     Neighbour,
-    Offset,
-    OffsetChange,
     TrackingParams,
 )
 from agents.localization import payload as located
+from agents.offset import Offset, OffsetChange
 from agents.trajectory import Circle, Path, StraightLine
-from netem.fault_kinds import Cause, WorldFaultKind
+from netem.cause import Cause
+from netem.fault_kinds import WorldFaultKind
 from netem.limits import WIRE_MESSAGE
 from netem.wire.credentials import LEASE_MS
-from netem.wire.messages import PROTOCOL_VERSION, Message, Route, TimedFault, WireRecord, WorldFault
-from world.config import VehicleParams
+from netem.wire.fields import Route, WireRecord
+from netem.wire.messages import PROTOCOL_VERSION, Message, TimedFault, WorldFault
+from world.vehicle_params import VehicleParams
 
 # An agent's slice of the scenario, field by field, for the protocol page; a test compares it with the declarations.
 

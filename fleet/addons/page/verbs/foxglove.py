@@ -13,7 +13,8 @@ from fleet.cli.sessions import ending
 from fleet.logs.seekable_log import SeekableLog
 from fleet.replay.live_journal import LiveJournal
 from fleet.terminal.keyboard import Keyboard
-from fleet.terminal.status_line import StatusLine, showing
+from fleet.terminal.progress import showing
+from fleet.terminal.status_line import StatusLine
 from netem.wire.session import quiet_zenoh
 
 if TYPE_CHECKING:

@@ -84,7 +84,7 @@ def show_page(
     from fleet.addons.page.log_feed import LogFeed
     from fleet.addons.page.server import Browser, is_loopback, open_listener, serve
     from fleet.addons.page.source import LiveSource
-    from fleet.terminal.table import say
+    from fleet.terminal.width import say
 
     listener = open_listener(host, port)
     if not is_loopback(host):

@@ -79,7 +79,7 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
     before, comma, last = typed.rpartition(",")
     words = [*getattr(parameter.type, "words", ())]
     try:
-        from fleet.execution.directory import newest_run
+        from fleet.execution.past_runs import newest_run
         from fleet.logs.topic_names import signal_names
 
         # Where the option has no value yet, click has not told the arguments apart.

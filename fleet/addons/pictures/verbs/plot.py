@@ -27,8 +27,8 @@ from fleet.cli.types import (
     NoProgress,
 )
 from fleet.option import Option
-from fleet.terminal.status_line import showing
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing
+from fleet.terminal.width import say
 
 
 @command()

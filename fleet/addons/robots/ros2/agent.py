@@ -31,7 +31,7 @@ from fleet.addons.robots.ros2.mapping import MessageMaker, base_link, frd
 from fleet.addons.robots.ros2.node import RosNode
 from fleet.addons.robots.ros2.rmw import LATCHED
 from fleet.addons.robots.ros2.types import OWN
-from netem.vehicle_clock import Clock
+from netem.clock import Clock
 from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3
 

@@ -23,8 +23,8 @@ from fleet.replay.player import Player
 from fleet.replay.topics import ask_topics
 from fleet.scenario.text.fault_words import read_fault
 from fleet.terminal.keyboard import Keyboard
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import Piece
 
 POLL_S = 0.05
 CLOCK_NS = 5_000_000  # between two messages of /clock, at least

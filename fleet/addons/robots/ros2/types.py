@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from fleet.logs.dataset import need
+from fleet.logs.table import need
 
 DISTRIBUTIONS = ("humble", "jazzy", "kilted")
 USUAL = "jazzy"

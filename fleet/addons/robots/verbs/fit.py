@@ -15,8 +15,8 @@ from fleet.cli.types import (
 )
 from fleet.errors import FleetError
 from fleet.option import Option
-from fleet.terminal.status_line import showing_steps
-from fleet.terminal.table import say
+from fleet.terminal.progress import showing_steps
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.addons.robots.link_fit import LinkFit
@@ -45,8 +45,8 @@ def fit(
       fleet fit links/1-2.csv > links.yaml
     """
     from fleet.addons.robots.link_fit import fit as fitted
-    from fleet.scenario.sections.link_conditions import read_trace
-    from fleet.scenario.text.yaml_reader import yaml_text
+    from fleet.scenario.sections.trace_table import read_trace
+    from fleet.scenario.text.yaml_writer import yaml_text
 
     if trace.suffix != ".csv":
         raise click.BadParameter(f"expected a file that ends in .csv, got {trace}", param_hint="TRACE")

@@ -16,8 +16,8 @@ from fleet.cli.types import Trust
 from fleet.execution.options import OnlyDirectory, Options, RunsFolder
 from fleet.option import Option
 from fleet.terminal.status_line import stderr
-from fleet.terminal.table import say
-from netem.vehicle_clock import Clock
+from fleet.terminal.width import say
+from netem.clock import Clock
 
 
 @command(

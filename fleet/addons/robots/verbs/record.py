@@ -20,7 +20,7 @@ from fleet.cli.types import FILE, TIME
 from fleet.errors import FleetError
 from fleet.option import Option
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import say
+from fleet.terminal.width import say
 
 EPILOG = "Exit status: 0 done, 2 usage or a bad file, 3 no connection or a full disk, 129 terminal closed, 130 Ctrl-C."
 

@@ -16,7 +16,8 @@ from fleet.cli.sessions import ending
 from fleet.cli.types import ENDPOINT, Distribution, Whole
 from fleet.errors import FleetError
 from fleet.option import Option
-from fleet.terminal.status_line import StatusLine, showing
+from fleet.terminal.progress import showing
+from fleet.terminal.status_line import StatusLine
 
 if TYPE_CHECKING:
     from fleet.addons.page.source import LiveSource, LogSource

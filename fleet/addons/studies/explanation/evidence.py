@@ -21,8 +21,8 @@ from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
 from fleet.scenario.sections.signals import parse_name
+from netem.cause import Cause
 from netem.condition import Link
-from netem.fault_kinds import Cause
 from netem.lives import Absence, Lives
 
 TOPICS = ("uuv/*/state", "uuv/*/belief", "uuv/*/located", "uuv/*/control", "uuv/*/guidance", "uuv/*/error",

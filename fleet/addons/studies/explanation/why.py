@@ -33,12 +33,13 @@ from fleet.logs.schemas import CLOCK, FROM
 from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
-from fleet.scenario.text.yaml_reader import Source, inline, plain, read
+from fleet.scenario.text.yaml_reader import Source, plain, read
+from fleet.scenario.text.yaml_writer import inline
 from fleet.scenario.trust import Policy
+from netem.clock import Clock
 from netem.condition import Link
-from netem.grammar import parse_selector, select
+from netem.link_selector import parse_selector, select
 from netem.parsing import nearest
-from netem.vehicle_clock import Clock
 
 
 class Why(Struct, frozen=True):

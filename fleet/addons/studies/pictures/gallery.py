@@ -36,9 +36,6 @@ from fleet.addons.studies.store import Store
 from fleet.errors import printable
 from fleet.logs.reader import OnProgress
 
-# --- gallery: which pictures there are
-
-
 _MOST_PAGES = 8  # pictures of one quantity
 _DRAW = {"heat": heat, "curve": curves, "boxes": boxes}
 

@@ -25,8 +25,10 @@ from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.types import is_given
 from fleet.option import Option
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import Piece, TerminalColumn, say, show, stdout
+from fleet.terminal.table import TerminalColumn, show
+from fleet.terminal.width import say, stdout
 
 if TYPE_CHECKING:
     from fleet.addons.studies.borders import Border, Borders

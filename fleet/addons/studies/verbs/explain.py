@@ -12,8 +12,10 @@ from fleet.cli.documents.output import json_is_asked, print_result
 from fleet.cli.log_argument import Log
 from fleet.cli.types import FILE, NoProgress, Trust, Whole
 from fleet.option import Option
-from fleet.terminal.status_line import StatusLine, showing
-from fleet.terminal.table import Piece, say
+from fleet.terminal.line import Piece
+from fleet.terminal.progress import showing
+from fleet.terminal.status_line import StatusLine
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.addons.studies.explanation.what_if import WhatIf

@@ -25,8 +25,9 @@ from fleet.cli.junit import Junit
 from fleet.cli.types import BUDGET, FILE, FOLDER, TIME, Force, Whole
 from fleet.errors import printable
 from fleet.option import Option
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import Piece, say
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.addons.studies.engine import Engine
@@ -110,7 +111,7 @@ def place_of(scenario: Scenario, out: Path | None, *, force: bool) -> Path:
 def write_least(scenario: Scenario, path: Path) -> None:
     """Write the least scenario. Raises StudyError: it cannot be written; then it is printed on stderr."""
     from fleet.addons.studies.errors import StudyError
-    from netem.files import write_whole
+    from netem.whole_file import write_whole
 
     text = scenario.to_yaml()
     try:

@@ -15,8 +15,10 @@ from fleet.addons.studies.spec import BoundarySpec, StudySpec
 from fleet.cli.completion import names_or_files
 from fleet.cli.types import FILE, FOLDER, Trust, Whole, is_given
 from fleet.option import Option, fields
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import BAR, StatusLine, bar
-from fleet.terminal.table import Piece, TerminalColumn, say
+from fleet.terminal.table import TerminalColumn
+from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.addons.studies.engine import Engine

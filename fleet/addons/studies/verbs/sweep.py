@@ -28,8 +28,10 @@ from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.junit import Junit
 from fleet.cli.types import is_given
 from fleet.option import Option
+from fleet.terminal.line import Piece
 from fleet.terminal.status_line import StatusLine
-from fleet.terminal.table import Piece, TerminalColumn, say, show, stdout
+from fleet.terminal.table import TerminalColumn, show
+from fleet.terminal.width import say, stdout
 
 if TYPE_CHECKING:
     from fleet.addons.studies.measures import MeasureColumn

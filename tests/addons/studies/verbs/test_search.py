@@ -15,7 +15,7 @@ from study_engine import made_here
 from tool import invoke
 
 from fleet.addons.studies.verbs.search import _seed_pieces
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 
 RANDOM = """\
 nemesis: {every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}

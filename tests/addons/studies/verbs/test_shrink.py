@@ -13,7 +13,7 @@ from tool import invoke
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.verbs.documents import ShrunkScenario
 from fleet.addons.studies.verbs.search import write_least
-from fleet.execution.stepped_run import run
+from fleet.execution.whole_run import run
 
 FAILING = """\
 faults:

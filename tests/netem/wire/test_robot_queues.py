@@ -12,7 +12,7 @@ from waiting import wait_for
 
 from netem.errors import BusError
 from netem.limits import ROBOT_WAITING
-from netem.wire.outlet import HandOver, Outlet
+from netem.wire.robot_queues import HandOver, Outlet
 
 LIMIT_S = 60.0
 

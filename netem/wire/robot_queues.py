@@ -1,27 +1,70 @@
-"""A thread that hands one robot what is due for it: a program that is slow or stopped keeps no other robot waiting."""
+"""The two queues of a robot: what its programs send to the relay, and what the relay has for them. Both are bounded.
+
+A thread hands each robot what is due for it, so a program that is slow or stopped keeps no other robot waiting.
+"""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Hashable
 from queue import SimpleQueue
-from threading import Thread
+from threading import Lock, Thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
 from netem.errors import BusError
-from netem.limits import ROBOT_WAITING
+from netem.limits import RELAY_WAITING, ROBOT_WAITING
+
+_MOST_KINDS = 1000  # kinds of messages that did not fit and are not taken yet
+
+
+class Inlet:
+    """The way of one sender into a queue that others use, too: what waits there is bounded, and what does not fit is
+    counted. Several threads let in, and one takes out.
+    """
+
+    def __init__(self, put: Callable[[Any], None]) -> None:
+        """`put`: of the queue. What needs no bounds may call it, too."""
+        self.put = put
+        self._lock = Lock()
+        self._waiting = self._bytes = 0
+        self._unfit: Counter[Hashable] = Counter()
+
+    def offer(self, item: Any, size: int, name: Callable[[], Hashable]) -> None:
+        """Put an item of `size` bytes, or count it by its name: too much waits."""
+        with self._lock:
+            if self._waiting and (self._waiting >= RELAY_WAITING.items or self._bytes + size > RELAY_WAITING.bytes):
+                what = name() if len(self._unfit) < _MOST_KINDS else None
+                self._unfit[what] += 1
+                return
+            self._waiting += 1
+            self._bytes += size
+            self.put(item)
+
+    def release(self, size: int) -> None:
+        """An item that waited was taken out."""
+        with self._lock:
+            self._waiting -= 1
+            self._bytes -= size
+
+    def unfit(self) -> Counter[Hashable]:
+        """What did not fit since the last call, by name; None counts those beyond the most names."""
+        if not self._unfit:
+            return Counter()
+        with self._lock:
+            found, self._unfit = self._unfit, Counter()
+        return found
 
 
 class HandOver(NamedTuple):
     """What became of a message that an outlet took."""
 
-    message: Any  # as it was offered
+    message: Any  # the message as it was offered
     at_ns: int  # when it was handed over
     late_ns: int  # how long the host was late with it, beside its wait for the robot
     kept_ns: int  # how long the robot let it wait
     delivered: bool
-    problem: str  # why it was not, if something is known
+    problem: str  # why the message was not delivered, if that is known
 
 
 class _Job(NamedTuple):
@@ -36,8 +79,8 @@ class Outlet:
 
     def __init__(self) -> None:
         self._jobs: SimpleQueue[_Job | Callable[[], None] | None] = SimpleQueue()
-        self._offered, self._offered_bytes = 0, 0  # one thread counts what it offers,
-        self._worked, self._worked_bytes = 0, 0  # and the other what it has done
+        self._offered, self._offered_bytes = 0, 0  # written by the thread that offers
+        self._worked, self._worked_bytes = 0, 0  # written by the thread that hands over
         self._outcomes: deque[HandOver] = deque()
         self._problems: deque[str] = deque()
         self._free_ns = self._lost_ns = 0

@@ -1,4 +1,4 @@
-"""The navigation of a vehicle, as its configuration asks for it."""
+"""The navigation error of a real vehicle, replayed: its agent believes the truth plus the error of the trace."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from bisect import bisect_right
 from collections.abc import Sequence
 
 from netem.wire.messages import Fix, WorldFault
-from world.navigation.config import Navigation, NavigationTrace
-from world.navigation.navigator import Believed, Navigator, State, body
+from world.navigation.config import NavigationTrace
+from world.navigation.navigator import Believed, State, body
 from world.vectors import Vec3
-
-# --- replay
-# The navigation error of a real vehicle, replayed: its agent believes the truth plus the error of the trace.
 
 
 class ReplayedError:
@@ -61,14 +58,3 @@ class ReplayedError:
 
     def take_fixes(self) -> tuple[Fix, ...]:
         return ()
-
-
-def navigation_of(
-    config: Navigation | None, seed: int, i: int, tick_ns: int, state: State
-) -> Navigator | ReplayedError | None:
-    """The navigation of vehicle i, from its true state at the start; None: the vehicle knows where it is."""
-    if config is None:
-        return None
-    if isinstance(config, NavigationTrace):
-        return ReplayedError(config, tick_ns)
-    return Navigator(config, seed, i, tick_ns, state)

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from fleet.errors import RunBroken
+from fleet.execution.diagnosis import explain
 from fleet.execution.notes import folded, without_agent
-from fleet.execution.supervisor import explain
 from fleet.processes.children import Child, Exit
 
 

@@ -14,6 +14,7 @@ from fleet.recorder.log_file import LogFile, NoLog
 from fleet.result.file import write_result
 from fleet.result.result import Result
 from fleet.scenario.scenario import Scenario
+from world.plugins.output import lines_go_into
 
 
 def run(
@@ -63,7 +64,8 @@ def run(
     found = resolve_triggers(found)  # the record has the faults that triggers began
     with closing(RunDirectory(Path(out), found.name, found.seed)) as directory:
         directory.write_scenario(found.to_yaml())
-        result = judged(found, progress, log=LogFile(directory.log))
+        with lines_go_into(directory.path / "log"):
+            result = judged(found, progress, log=LogFile(directory.log))
         result.run, result.directory = directory.path.name, directory.path
         try:
             write_result(result, directory.path)

@@ -205,6 +205,7 @@ class ProgramLife:
             self._tokens_ns = self.turns.now_ns + TOKENS_NS
             for token in self._zenoh.tokens:
                 self._send(ZENOH, [TOKEN, token.key])
+        self._zenoh.expire()
         out, self._out = self._out, []
         return out
 

@@ -14,6 +14,7 @@ from netem.wire.key_expressions import KeyExpression, intersects, key_expression
 
 PUT, DELETE, QUERY, REPLY, FINAL, TOKEN, UNTOKEN = range(7)
 QUERY_TIMEOUT_S = 10.0  # zenoh's own: queries_default_timeout
+LEASE_NS = 2 * NS  # a token that is not told for so long is gone
 Send = Callable[[list[Any]], None]
 
 
@@ -260,6 +261,7 @@ class Zenoh:
         self.watchers: list[Watcher] = []
         self.queries: dict[int, PendingQuery] = {}
         self.numbers = count(1)
+        self._seen_ns: dict[tuple[int, str], int] = {}  # when a token was told last, by agent and key
 
     def put(self, kind: int, key: str, data: bytes, encoding: str, attachment: bytes | None) -> None:
         """A message of this program: for its own subscribers, too."""
@@ -284,8 +286,19 @@ class Zenoh:
             if to == self.number and number in self.queries:
                 self.queries[number].answered(src)
         elif kind in (TOKEN, UNTOKEN):
+            key = message[1]
+            if kind == TOKEN:
+                self._seen_ns[src, key] = self.turns.now_ns
+            else:
+                self._seen_ns.pop((src, key), None)
             for watcher in self.watchers:
-                watcher.hear(src, message[1], alive=kind == TOKEN)
+                watcher.hear(src, key, alive=kind == TOKEN)
+
+    def expire(self) -> None:
+        """Let the tokens go whose programs have not told them for a lease: they died, or cannot be heard."""
+        for src, key in [each for each, at_ns in self._seen_ns.items() if self.turns.now_ns - at_ns > LEASE_NS]:
+            if src != self.number:
+                self.hear(src, [UNTOKEN, key])
 
     def _deliver(self, message: list[Any]) -> None:
         kind, key, data, encoding, attachment = message

@@ -56,6 +56,11 @@ def __getattr__(name: str) -> Any:
         return sorted(_every_name())
     module = _OFFERED.get(name) or ("" if name.startswith("_") else _every_name().get(name))
     if not module:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from fleet.addon import installed
+
+        why = (
+            "" if name.startswith("_") else "; ".join(f"{k} is left out: {v}" for k, v in installed().left_out.items())
+        )
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{f'; {why}' if why else ''}")
     _warn_of_hidden_cores()
     return getattr(import_module(module), name)

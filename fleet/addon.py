@@ -12,10 +12,13 @@ laws and checks have entry points of their own: `uuv_fleet.plants`, `uuv_fleet.c
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "uuv_fleet.addons"
 
@@ -54,6 +57,28 @@ class AddOn:
     hints: Mapping[str, str] = field(default_factory=dict)
     other_options: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name in PLACES:
+            places = getattr(self, name)
+            if not isinstance(places, tuple) or not all(isinstance(each, str) and ":" in each for each in places):
+                raise TypeError(
+                    f"{name}: expected a tuple of texts such as ('package.module:Class',), got {places!r:.80}"
+                )
+        for title, verbs in self.verbs.items():
+            if not isinstance(verbs, Mapping) or not all(isinstance(verb, Verb) for verb in verbs.values()):
+                raise TypeError(
+                    f"verbs: expected {{heading: {{name: Verb(...)}}}}, got {verbs!r:.80} under {title!r:.40}"
+                )
+
+
+# The fields that hold places, and what is at least there at each.
+PLACES = {
+    **dict.fromkeys(("companions", "exporters"), "options_type"),
+    "readers": "recognises",
+    "listings": "rows",
+    "fault_kinds": "name",
+}
+
 
 class Installed(NamedTuple):
     """The add-ons of this environment.
@@ -64,7 +89,7 @@ class Installed(NamedTuple):
     """
 
     addons: Mapping[str, AddOn]
-    left_out: Mapping[str, str]
+    left_out: dict[str, str]
 
 
 @cache
@@ -73,10 +98,13 @@ def installed() -> Installed:
     from importlib.metadata import entry_points  # here, because it takes as long as the rest of a command's start
 
     found, left_out = {}, {}
-    for point in sorted(entry_points(group=GROUP), key=lambda each: each.name):
+    for point in sorted(entry_points(group=GROUP), key=lambda each: (not _is_ours(each), each.name)):
+        if point.name in found:
+            left_out[f"{point.name} ({point.value})"] = "there is an add-on of this name already"
+            continue
         try:
             addon = point.load()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             left_out[point.name] = f"{point.value}: {type(error).__name__}: {error}"
             continue
         if not isinstance(addon, AddOn):
@@ -84,6 +112,21 @@ def installed() -> Installed:
             continue
         found[point.name] = addon
     return Installed(found, left_out)
+
+
+def _is_ours(point: EntryPoint) -> bool:
+    """Whether it is an add-on of this package: those come first, so that no other takes a name of theirs."""
+    return point.dist is not None and point.dist.name == "uuv-fleet"
+
+
+def leave_out(what: str, reason: str) -> None:
+    """Note that a part of an add-on cannot be used, for `fleet about` and for errors about what is missing.
+
+    Args:
+        what: the part, such as `tides.companions`.
+        reason: why.
+    """
+    installed().left_out[what] = reason
 
 
 def load(place: str) -> Any:
@@ -111,10 +154,18 @@ def parts(kind: str) -> tuple[Any, ...]:
         kind: a field of `AddOn` that has places, such as `exporters`.
 
     Returns:
-        The objects at these places, in the order of the add-ons' names.
-
-    Raises:
-        ImportError: a module of an add-on cannot be imported.
+        The objects at these places, our own first. What cannot be loaded, or is of another form, is left out.
     """
-    assert kind in {each.name for each in fields(AddOn)}, kind
-    return tuple(load(place) for addon in installed().addons.values() for place in getattr(addon, kind))
+    found = []
+    for name, addon in installed().addons.items():
+        for place in getattr(addon, kind):
+            try:
+                part = load(place)
+            except (Exception, SystemExit) as error:
+                leave_out(f"{name}.{kind}", f"{place}: {type(error).__name__}: {error}")
+                continue
+            if not hasattr(part, PLACES[kind]):
+                leave_out(f"{name}.{kind}", f"{place} has no {PLACES[kind]}")
+                continue
+            found.append(part)
+    return tuple(found)

@@ -18,7 +18,7 @@ import click
 import psutil
 
 import fleet
-from fleet.addon import installed
+from fleet.addon import PLACES, installed, parts
 from fleet.cli.completion import RUNS
 from fleet.cli.declare import command
 from fleet.cores import cores_and_reason, processor
@@ -103,6 +103,8 @@ def _packages() -> Iterator[tuple[str, str]]:
     yield "packages", ", ".join(text for text in found if not text.startswith("uuv-fleet "))
     yield "not installed", ", ".join(missing) or "none"
     addons = installed()
+    for kind in PLACES:
+        parts(kind)
     yield "add-ons", ", ".join(addons.addons) or "none"
     yield from (("left out", f"{name}: {reason}") for name, reason in addons.left_out.items())
 

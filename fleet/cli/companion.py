@@ -18,7 +18,7 @@ class Beside:
     """What goes on beside one run. A companion that has nothing to do at a moment inherits it from here."""
 
     def published(self, directory: Path) -> None:
-        """The journal of the run can be read.
+        """The journal of the run can be read. A run that is not published has none: `prepare` may set `publish`.
 
         Args:
             directory: the directory of the run.

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import click
 
-from fleet.addon import parts
+from fleet.addon import leave_out, parts
 from fleet.cli.documents.output import JSON
 from fleet.cli.types import PACE, PATH, SECONDS, SHARE, SPEED, TIME, Effect, Fallback, Whole, is_given
 from fleet.errors import FleetError
@@ -135,11 +135,13 @@ def command(
         shown: list[click.Parameter] = []
         parameters = signature(function, eval_str=True).parameters.values()
         own = {each: None if _from_add_ons(each) else _taken(each) for each in parameters}
-        names = {field.name for one in own.values() if one is not None for field in one.fields}
+        flags = {"--json", "--help", "-h"} | {
+            word for one in own.values() if one is not None for field in one.fields for word in _words(field)
+        }
         for each, one in own.items():
             is_option = each.kind is Parameter.KEYWORD_ONLY
             if one is None:
-                extended = _extended(each, name or function.__name__, names)
+                extended = _extended(each, name or function.__name__, flags)
                 taken.append(extended)
                 shown += map(_option, extended.fields)
                 continue
@@ -186,6 +188,11 @@ class _Extended(NamedTuple):
         return {self.name: tuple(made)}
 
 
+def _words(field: OptionField) -> set[str]:
+    """The flags of a field, and its name, which must be another one for each parameter."""
+    return {field.name, *(word for part in (field.flag or "").split() for word in part.split("/"))}
+
+
 def _from_add_ons(parameter: Parameter) -> FromAddOns | None:
     return next((each for each in unwrapped(parameter.annotation)[1] if isinstance(each, FromAddOns)), None)
 
@@ -195,10 +202,14 @@ def _extended(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
     asked, found = _from_add_ons(parameter), []
     assert asked is not None
     for kind in parts(asked.kind):
-        names = fields(kind.options_type).keys()
-        if command in kind.commands and not names & taken:
-            taken |= names
-            found.append(kind)
+        if command not in kind.commands:
+            continue
+        own = {word for field in fields(kind.options_type).values() for word in _words(field)}
+        if there := own & taken:
+            leave_out(f"{kind.__module__}:{kind.__name__}", f"fleet {command} has {min(there)} already")
+            continue
+        taken |= own
+        found.append(kind)
     return _Extended(parameter.name, tuple(found))
 
 

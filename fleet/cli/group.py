@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from fleet.addon import installed, load
+from fleet.addon import Verb, installed, load
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.verbs import every_verb, headings, hint_for, other_option, verb_of
 from fleet.errors import FleetError, harmless
@@ -64,7 +64,7 @@ class FleetGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name; None: there is none."""
         verb = verb_of(cmd_name)
-        return super().get_command(ctx, cmd_name) if verb is None else _checked(cmd_name, load(verb.command))
+        return super().get_command(ctx, cmd_name) if verb is None else _loaded(cmd_name, verb)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """The command that was typed; for one of another tool the error names ours. Raises UsageError."""
@@ -113,9 +113,9 @@ def _meant(error: click.ClickException) -> str:
         return ""
     if isinstance(error, click.NoSuchOption):
         other = other_option(context.info_name or "", error.option_name)
-        if other:
+        if other or installed().left_out:
             error.possibilities = []  # type: ignore[misc]
-        return f" {other}" if other else ""
+        return f" {other}" if other else _left_out()
     change = _CHANGE.search(error.message)
     if change is None or not any("--set" in parameter.opts for parameter in context.command.params):
         return ""
@@ -124,10 +124,14 @@ def _meant(error: click.ClickException) -> str:
 
 def command_of(name: str) -> click.Command:
     """The command of a name that `every_verb` has."""
-    return _checked(name, load(every_verb()[name].command))
+    return _loaded(name, every_verb()[name])
 
 
-def _checked(name: str, found: Any) -> click.Command:
+def _loaded(name: str, verb: Verb) -> click.Command:
+    try:
+        found = load(verb.command)
+    except (ImportError, AttributeError, SyntaxError, SystemExit) as error:
+        raise FleetError(f"fleet {name} cannot be loaded: {verb.command}: {type(error).__name__}: {error}") from error
     if not isinstance(found, click.Command):
         raise FleetError(f"the add-on that brings fleet {name} gives {found!r:.80} in place of a click command")
     return found

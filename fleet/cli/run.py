@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -115,15 +115,23 @@ def execute_and_print(
 
         def on_published(directory: Path) -> None:
             for each in reversed(beside):  # what may end the run's wait for a listener, such as the page, comes last
-                each.published(directory)
+                _tell(each.published, directory)
 
         result = execute(scenario, replace(options, on_published=on_published), terminal)
         if result.directory is not None:
             for each in beside:
-                each.over(result.directory)
+                _tell(each.over, result.directory)
         cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
         _print_result(result, quiet=options.quiet)
     sys.exit(result.status.exit)
+
+
+def _tell(hear: Callable[[Path], None], directory: Path) -> None:
+    """Tell a companion something. Whatever it raises costs a warning, and neither the run nor its result."""
+    try:
+        hear(directory)
+    except Exception as error:
+        say(f"warning: {type(error).__name__} beside the run: {error}", err=True)
 
 
 def _checked(

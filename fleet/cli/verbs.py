@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from fleet.addon import Verb, installed
+from fleet.addon import Verb, installed, leave_out
 
 _LAST = "This tool"  # the last heading
 CORE: dict[str, dict[str, Verb]] = {
@@ -76,12 +76,15 @@ def headings() -> dict[str, dict[str, Verb]]:
     found = {title: dict(verbs) for title, verbs in CORE.items()}
     last = found.pop(_LAST)
     taken = set(_OF_THE_CORE)
-    for addon in installed().addons.values():
+    found_last = dict(last)
+    for whose, addon in installed().addons.items():
         for title, verbs in addon.verbs.items():
+            for name in verbs.keys() & taken:
+                leave_out(f"{whose}: fleet {name}", "there is a command of this name already")
             own = {name: verb for name, verb in verbs.items() if name not in taken}
-            found.setdefault(title, {}).update(own)
+            (found_last if title == _LAST else found.setdefault(title, {})).update(own)
             taken |= own.keys()
-    return {title: verbs for title, verbs in found.items() if verbs} | {_LAST: last}
+    return {title: verbs for title, verbs in found.items() if verbs} | {_LAST: found_last}
 
 
 @cache

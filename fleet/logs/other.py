@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from fleet.addon import parts
+from fleet.addon import leave_out, parts
 from fleet.errors import FleetError
 from netem.private_folder import PrivateFolder
 
@@ -107,9 +106,13 @@ def known_as(path: Path) -> OtherData | None:
         The first kind that recognises it; None: no add-on does.
     """
     for made in (each() for each in parts("readers")):
-        with suppress(OSError):  # a name that is too long, a folder of others: the command itself tells it
+        try:
             if made.recognises(path):
                 return made  # type: ignore[no-any-return]
+        except OSError:
+            continue  # a name that is too long, a folder of others: the command itself tells it
+        except Exception as error:
+            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"recognises: {type(error).__name__}: {error}")
     return None
 
 
@@ -152,6 +155,11 @@ def _converted(kind: OtherData, path: Path, changed_ns: int) -> Path:
         folder = PrivateFolder("log")
         atexit.register(folder.close)
         file = folder.path / f"{path.stem}.mcap"
-        kind.write_mcap(path, file)
+        try:
+            kind.write_mcap(path, file)
+        except FleetError:
+            raise
+        except Exception as error:
+            raise FleetError(f"{path} cannot be read as {kind.name}: {type(error).__name__}: {error}") from error
         _MADE[path, changed_ns] = file
     return _MADE[path, changed_ns]

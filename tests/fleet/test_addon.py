@@ -82,6 +82,15 @@ class Taken(Companion):
     options_type = TakenOptions
 
 
+class Rude(OtherData):
+    """A reader that looks at what is not there."""
+
+    name = "rude"
+
+    def recognises(self, path: Path) -> bool:
+        raise ValueError("nothing is as it was")
+
+
 class Tape(OtherData):
     """A log whose bytes stand in the opposite order."""
 
@@ -113,23 +122,49 @@ ADDON = AddOn(
     fault_kinds=(f"{__name__}:SQUALL", f"{__name__}:FALSE_KILL"),
     hints={"yell": "fleet shout"},
 )
+HALF = AddOn(  # each part of it is wrong in its own way
+    verbs={"Noise": {"shout": Verb("no_such_module:shout", "Taken."), "void": Verb("no_such_module:void", "Gone.")}},
+    companions=("no_such_module:Lamp", f"{__name__}:loudness"),
+    exporters=("no_such_module:Svg",),
+    readers=("no_such_module:Tape", f"{__name__}:Rude"),
+    listings=("no_such_module:List",),
+    fault_kinds=("no_such_module:KIND",),
+)
 loudness = 11
 CACHES: tuple[Any, ...] = (addon.installed, addon.parts, verbs.headings, verbs.every_verb, fleet._every_name)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "quits":
+        raise SystemExit("this add-on needs Python 3.99")
+    raise AttributeError(name)
 
 
 @pytest.fixture
 def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The add-on of this file beside others that cannot be used."""
-    places = {"noise": f"{__name__}:ADDON", "gone": "no_such_module:ADDON", "odd": f"{__name__}:loudness"}
+    places = {
+        "noise": f"{__name__}:ADDON",
+        "gone": "no_such_module:ADDON",
+        "odd": f"{__name__}:loudness",
+        "quits": f"{__name__}:quits",
+        "uneven": f"{__name__}:HALF",
+    }
     monkeypatch.setitem(sys.modules, __name__, sys.modules.get(__name__) or _module())
     points = [EntryPoint(name, place, addon.GROUP) for name, place in places.items()]
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points if group == addon.GROUP else [])
-    for cache in CACHES:
-        cache.cache_clear()
+    _forget()
     yield
+    _forget()
+    HEARD.clear()
+
+
+def _forget() -> None:
+    """Let the commands that add-ons extend be made again, when they are asked for."""
     for cache in CACHES:
         cache.cache_clear()
-    HEARD.clear()
+    for name in ("fleet.cli.run", "fleet.cli.export", "fleet.cli.listing", "fleet.cli.documents.page"):
+        sys.modules.pop(name, None)
 
 
 def _module() -> ModuleType:
@@ -147,7 +182,37 @@ def test_a_verb_and_a_hint() -> None:
     assert command_of("run").help.startswith("Run SCENARIO")  # type: ignore[union-attr]
     said = invoke("yell").stderr
     assert "; use fleet shout\n" in said
-    assert "left out: gone, odd (no_such_module:ADDON: ModuleNotFoundError: No module named 'no_such_module')" in said
+    assert "left out: gone, odd" in said
+    assert "(no_such_module:ADDON: ModuleNotFoundError: No module named 'no_such_module')" in said
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_part_that_cannot_be_used_hurts_no_other(made: Alone) -> None:
+    log = log_of(made("paper", "duration=1 s", "checks={}"))
+    for words in (["list"], ["check", "paper"], ["run", "--help"], ["info", log], ["export", log, "--help"]):
+        assert invoke(*words).exit_code == 0, words
+    assert invoke("void").stderr.startswith(
+        "fleet: fleet void cannot be loaded: no_such_module:void: ModuleNotFoundError"
+    )
+    assert invoke("about", "--schemas", "run").exit_code == 0
+    assert fleet.open_log(log).digest
+    left_out = addon.installed().left_out
+    assert {
+        "uneven.companions",
+        "uneven.exporters",
+        "uneven.readers",
+        "uneven.listings",
+        "uneven.fault_kinds",
+    } <= left_out.keys()
+    assert left_out["noise: fleet run"] == left_out["uneven: fleet shout"] == "there is a command of this name already"
+    assert "uneven.companions: " in about and "noise: fleet run" in about
+    assert "left out" in invoke("run", "paper", "--no-such").stderr
+
+
+@pytest.mark.parametrize("wrong", [{"companions": "a:B"}, {"verbs": {"a": Verb("a:b", "c")}}, {"readers": ("a",)}])
+def test_a_wrong_shape_is_told_at_once(wrong: dict[str, Any]) -> None:
+    with pytest.raises(TypeError, match="expected"):
+        AddOn(**wrong)
 
 
 @pytest.mark.usefixtures("installed")

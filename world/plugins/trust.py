@@ -127,18 +127,20 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
         UntrustedError: the permission does not cover the file.
         PluginError: there is no such file.
     """
-    ran = set(_files.values())  # as a module that was allowed once
     _files.pop(name, None)  # another scenario may give this name to another file
     folders = [*permission.own, *permission.elsewhere]
     path = next((path for folder in folders if (path := Path(folder, file).resolve()).is_file()), None)
     if path is None:
         raise PluginError(kind, name, f"there is no file {file}", "it must lie beside the scenario or where you are")
     because = permission.because
-    own = [str(folder) for folder in map(Path.resolve, permission.own) if path.is_relative_to(folder)]
+    # It is the user's if it was found from his folder, not if it lies somewhere below: there may be logs of strangers.
+    own = [
+        str(f.resolve()) for f in permission.own if Path(f, file).resolve() == path and path.is_relative_to(f.resolve())
+    ]
     if own and (folder := next((f for f in (str(path), str(path.parent)) if _open_to_all(f)), "")):
         own, because = [], f"everybody may write into {folder}"
     _own.update(dict.fromkeys(own))
-    if not own and path not in ran:
+    if not own:
         _need_trust(kind, name, (str(path),), str(path.parent), because)
     _files[name] = _files[f"{name.partition(':')[0]}:{path}"] = path  # agents get the name with the whole path
 

@@ -10,7 +10,6 @@ from typing import Annotated
 import msgspec
 
 import fleet
-from fleet.addon import AddOn, Verb
 from fleet.cli.declare import command
 from fleet.cli.documents.output import print_result
 from fleet.cli.exporter import Exporter, Selection
@@ -53,9 +52,3 @@ class Svg(Exporter):
         file = self.options.svg / "tracks.svg"
         file.write_text(f"<svg xmlns='http://www.w3.org/2000/svg' fill='none' stroke='navy'>{''.join(lines)}</svg>\n")
         return [file]
-
-
-ADDON = AddOn(
-    verbs={"After a run": {"deepest": Verb("fleet_deepest:deepest", "Say how deep each vehicle was.")}},
-    exporters=("fleet_deepest:Svg",),
-)

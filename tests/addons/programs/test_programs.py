@@ -10,12 +10,11 @@ from textwrap import dedent
 
 import pytest
 from repository import ROOT
+from tool import invoke
 
 import fleet
 from fleet.errors import ScenarioError
 from fleet.result.result import Result, Status
-
-pytest.importorskip("greenlet", reason="needs uuv-fleet[programs]")
 
 MEMBER = ROOT / "docs/examples/election_stack/member.py"
 RunProgram = Callable[..., Result]
@@ -297,6 +296,22 @@ def test_mistakes_are_told_where_they_are(run: RunProgram, tmp_path: Path) -> No
             run("pass", **{key: value})
     with pytest.raises(ScenarioError, match="line is no regular expression"):
         run("pass", signal="(")
+
+
+def test_a_log_runs_no_program_of_mine_unasked(
+    run: RunProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = run("print('0 v')")
+    mark, elsewhere = tmp_path / "mark", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "program.py").write_text(f"open({str(mark)!r}, 'w')\n")
+    assert result.directory is not None
+    log = shutil.copytree(result.directory, elsewhere / "run")
+    shutil.copy(elsewhere / "program.py", log)
+    monkeypatch.chdir(tmp_path.parent)
+    refused = invoke("verify", log)
+    assert refused.exit_code == 2 and "--trust runs it" in refused.stderr, refused.output
+    assert not mark.exists()
 
 
 @pytest.mark.parametrize("way", ["distributed", "hosted"])

@@ -44,7 +44,7 @@ class Options:
     publish: Annotated[bool, Option(
         "Publish the journal on zenoh during the run; slow listeners do not slow the run.")] = False  # fmt: skip
     wait_for_subscribers: Annotated[bool, Option(
-        "With --publish, or an option that publishes: begin when there is a listener, such as the page.")] = False  # fmt: skip
+        "With --publish, or an option that publishes: begin when there is a listener.")] = False  # fmt: skip
     join_timeout_s: Annotated[float, Kind.TIME, Option(
         "How long to wait for each external agent.", flag="--join-timeout")] = 300.0  # fmt: skip
     quiet: OnlyDirectory = False

@@ -107,11 +107,11 @@ def remember(text: str) -> None:
 
 
 def ran_from(text: str) -> tuple[Path, ...]:
-    """The folders of own modules with which this user has run a scenario; none if it was somebody else."""
+    """The folders of own modules with which this user has run a scenario, newest first; none: it was not this user."""
     digest = _digest(text)
     with suppress(OSError, RuntimeError):
         parts = (line.partition(" ") for line in _lines(_kept()))
-        return tuple(Path(folder) for known, _, folder in parts if known == digest)
+        return tuple(Path(folder) for known, _, folder in parts if known == digest)[::-1]
     return ()
 
 

@@ -308,7 +308,8 @@ def test_a_log_runs_no_program_of_mine_unasked(
     assert result.directory is not None
     log = shutil.copytree(result.directory, elsewhere / "run")
     shutil.copy(elsewhere / "program.py", log)
-    monkeypatch.chdir(tmp_path.parent)
+    monkeypatch.chdir(elsewhere)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "of-somebody-else"))
     refused = invoke("verify", log)
     assert refused.exit_code == 2 and "--trust runs it" in refused.stderr, refused.output
     assert not mark.exists()

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from random import Random
 from types import ModuleType
 from typing import Any, ClassVar
 
-import msgpack
-
-from agents.api import AgentConfig, Delivery, Nav, Signal, Telemetry, Vec3
+from agents.api import (
+    AgentConfig,
+    Delivery,
+    FormationAgent,
+    Nav,
+    PayloadError,
+    Signal,
+    Telemetry,
+    Vec3,
+    pack,
+    unpack,
+)
 from fleet.addons.programs import standard
 from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, socket_module
 from fleet.addons.programs.event_loop import asyncio_module
@@ -27,7 +38,7 @@ from world.errors import PluginError
 from world.plugins.fence import OverBudgetError, alarm
 from world.plugins.output import line_writer
 
-ZENOH, DATAGRAM, ROS = "z", "u", "r"  # the first word of a payload
+ZENOH, DATAGRAM, ROS = "zenoh", "udp", "ros"  # kinds of payloads
 BUDGET_S = 10.0  # of computing in one turn, unless the scenario has a budget of its own
 TOKENS_NS = 500_000_000  # how often tokens are told again
 NOTHING_YET = -1.0  # a signal before the program has printed a line of it
@@ -129,6 +140,7 @@ class ProgramAgent:
         self._tick_ns = config.tick_ns
         self._cost_ns, self._busy_until_ns = time_ns(cost) if isinstance(cost, str) else round(cost * NS), 0
         self._life = ProgramLife(self.plugin_file, self.reads, config, arguments, addresses or {}, order, shared)
+        self._formation, self._moored = FormationAgent(config), config.moored  # it steers until the program commands
         self._limited = not config.budget_s
 
     def __del__(self) -> None:
@@ -136,17 +148,20 @@ class ProgramAgent:
             life.turns.end()
 
     def transmit(self, nav: Nav) -> Sequence[bytes]:
-        """What the program has sent since the last round."""
-        return self._life.sent()
+        """What the program has sent since the last round, and what the agent that steers sends."""
+        return [*self._formation.transmit(nav), *self._life.sent()]
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
         """Hand over what has come, and let the program run until it waits."""
-        now_ns = nav.tick * self._tick_ns
+        now_ns, deliveries = nav.tick * self._tick_ns, list(deliveries)
+        tau, _ = self._formation.decide(nav, deliveries)
         self._life.take(now_ns, deliveries)
+        if not self._moored:
+            self._life.navigate(nav)
         if now_ns >= self._busy_until_ns:
             self._advance(now_ns)
             self._busy_until_ns = now_ns + self._cost_ns
-        return (0.0, 0.0, 0.0), self._life.values
+        return tau if self._life.tau is None else self._life.tau, self._life.values
 
     def _advance(self, now_ns: int) -> None:
         if not self._limited or threading.current_thread() is not threading.main_thread():
@@ -187,6 +202,8 @@ class ProgramLife:
         self._ros: Any = None  # made when the program imports rclpy, which needs the extra `ros2`
         self._tokens_ns = 0
         self._begun = False
+        self.tau: Vec3 | None = None  # as the program commands; None: it has commanded nothing
+        self._zenoh.command = self._command
         self._output = standard.Output(self._hear_line)
         self._write_line = line_writer(f"agent-{config.id}.log")
 
@@ -198,6 +215,21 @@ class ProgramLife:
             self._begin(Random(f"{self._config.seed}/{self._config.id}/{now_ns}"))
         for delivery in deliveries:
             self._hear(delivery)
+
+    def navigate(self, nav: Nav) -> None:
+        """Tell the program where its vehicle is, if it listens: on `self/nav` of zenoh, on `/odom` of ROS."""
+        if self._zenoh.hears_of_itself():
+            (x, y, z, theta, psi), (u, v, w, q, r) = nav.eta, nav.nu
+            values = {"t": self.turns.now_ns / NS, "position": [x, y, z], "theta": theta, "psi": psi,
+                      "velocity": [u, v, w], "q": q, "r": r}  # fmt: skip
+            self._zenoh.tell(json.dumps(values).encode())
+        if self._ros is not None:
+            self._ros.tell_odometry(self.turns.now_ns, nav)
+
+    def _command(self, force: float, pitch: float, yaw: float) -> None:
+        if not all(map(isfinite, (force, pitch, yaw))):
+            raise ProgramFailed(f"it commands {(force, pitch, yaw)}: every number must be finite")
+        self.tau = (float(force), float(pitch), float(yaw))
 
     def sent(self) -> list[bytes]:
         """What the program has sent, and its tokens again and again, since the water may lose them."""
@@ -246,6 +278,7 @@ class ProgramLife:
 
         if self._ros is None:
             self._ros = Ros(self.turns, self._config.id, partial(self._send, ROS), self._output.write)
+            self._ros.command = self._command
             self._rclpy_modules = rclpy_modules(self._ros)
         return self._rclpy_modules[name]
 
@@ -261,21 +294,24 @@ class ProgramLife:
         self._send(DATAGRAM, [agent, port, to_port, data])
 
     def _send(self, kind: str, message: list[Any]) -> None:
-        self._out.append(msgpack.packb([kind, message]))
+        self._out.append(pack(kind, message))
 
     def _hear(self, delivery: Delivery) -> None:
+        kind = delivery.payload[2 : 2 + delivery.payload[1]].decode("ascii", "replace") if delivery.payload else ""
+        if kind not in (ZENOH, DATAGRAM, ROS):
+            return
         try:
-            kind, message = msgpack.unpackb(delivery.payload)
-            if kind == DATAGRAM:
-                agent, port, to_port, data = message
-                if agent in (EVERYBODY, self._config.id):
-                    self._datagrams.hear(delivery.src, port, to_port, data)
-            elif kind == ZENOH:
-                self._zenoh.hear(delivery.src, message)
-            elif kind == ROS and self._ros is not None:
-                self._ros.hear(delivery.src, message)
-        except (ValueError, TypeError, IndexError, msgpack.UnpackException):
-            return  # damaged on the way, as a checksum of UDP would tell
+            message = unpack(kind, delivery.payload)
+        except PayloadError:
+            return  # it was damaged on the way, and UDP and TCP have checksums, too
+        if kind == DATAGRAM:
+            agent, port, to_port, data = message
+            if agent in (EVERYBODY, self._config.id):
+                self._datagrams.hear(delivery.src, port, to_port, data)
+        elif kind == ZENOH:
+            self._zenoh.hear(delivery.src, message)
+        elif self._ros is not None:
+            self._ros.hear(delivery.src, message)
 
 
 def interfaces(name: str) -> ModuleType | None:

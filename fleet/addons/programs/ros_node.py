@@ -10,11 +10,15 @@ from itertools import count
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-from fleet.addons.programs.ros_messages import RosMessage, from_cdr, to_cdr
+from agents.api import Nav
+from fleet.addons.programs.ros_messages import RosMessage, from_cdr, known_types, to_cdr
 from fleet.addons.programs.standard import EPOCH_NS
 from fleet.addons.programs.turns import NS, Turns, Waiters
+from fleet.addons.robots.ros2.agent import NavState
+from fleet.addons.robots.ros2.mapping import MessageMaker, frd
 
 TOPIC, REQUEST, RESPONSE = range(3)
+ODOMETRY, WRENCH = "/odom", "/wrench"  # they stay within the vehicle; the axes are those of ROS (REP 103)
 
 
 class Ros:
@@ -40,6 +44,7 @@ class Ros:
         self.timers: list[Timer] = []
         self.waiters = Waiters(turns)
         self.ok = True
+        self.command: Callable[[float, float, float], None] = lambda *_: None  # surge force [N], pitch, yaw [N m]
 
     def later(self, call: Callable[[], object]) -> None:
         """A callback is ready for the next executor that spins."""
@@ -48,9 +53,23 @@ class Ros:
 
     def publish(self, topic: str, message: RosMessage) -> None:
         """Send a message, to nodes of this program, too."""
+        if topic == WRENCH:
+            wrench: Any = message.wrench if hasattr(message, "wrench") else message
+            _, pitch, yaw = frd((0.0, wrench.torque.y, wrench.torque.z))
+            self.command(wrench.force.x, pitch, yaw)
+            return
         parts = [TOPIC, topic, message.name, to_cdr(message)]
         self.hear(self.number, parts)
         self.send(parts)
+
+    def tell_odometry(self, now_ns: int, nav: Nav) -> None:
+        """Tell the nodes where their vehicle is, if one listens."""
+        hearing = [each for each in self.subscriptions if each.topic == ODOMETRY]
+        if hearing:
+            types = known_types()
+            message = MessageMaker(types).odometry(EPOCH_NS + now_ns, self.number, NavState(nav), nav.belief)
+            for each in hearing:
+                each.take(types.encode("nav_msgs/msg/Odometry", message))
 
     def hear(self, src: int, parts: list[Any]) -> None:
         """A message has come. One that is damaged, or of another type, is dropped."""

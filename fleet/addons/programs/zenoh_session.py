@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Callable, Iterator
 from enum import Enum
@@ -14,6 +15,8 @@ from netem.wire.key_expressions import KeyExpression, intersects, key_expression
 
 PUT, DELETE, QUERY, REPLY, FINAL, TOKEN, UNTOKEN = range(7)
 QUERY_TIMEOUT_S = 10.0  # zenoh's own: queries_default_timeout
+OWN = "self/"  # keys below it stay within the vehicle
+NAVIGATION, COMMAND = "self/nav", "self/cmd"
 LEASE_NS = 2 * NS  # a token that is not told for so long is gone
 Send = Callable[[list[Any]], None]
 
@@ -261,13 +264,27 @@ class Zenoh:
         self.watchers: list[Watcher] = []
         self.queries: dict[int, PendingQuery] = {}
         self.numbers = count(1)
+        self.command: Callable[[float, float, float], None] = lambda *_: None  # surge force [N], pitch, yaw [N m]
         self._seen_ns: dict[tuple[int, str], int] = {}  # when a token was told last, by agent and key
 
     def put(self, kind: int, key: str, data: bytes, encoding: str, attachment: bytes | None) -> None:
         """A message of this program: for its own subscribers, too."""
         message = [kind, key, data, encoding, attachment]
+        if key == COMMAND:
+            values = json.loads(data)
+            self.command(values.get("force", 0.0), values.get("pitch", 0.0), values.get("yaw", 0.0))
+            return
         self._deliver(message)
-        self.send(message)
+        if not key.startswith(OWN):
+            self.send(message)
+
+    def hears_of_itself(self) -> bool:
+        """Whether the program listens to where its vehicle is."""
+        return any(intersects(each.key_expr, NAVIGATION) for each in self.subscribers)
+
+    def tell(self, navigation: bytes) -> None:
+        """Tell it where its vehicle is."""
+        self._deliver([PUT, NAVIGATION, navigation, "application/json", None])
 
     def hear(self, src: int, message: list[Any]) -> None:
         """A message of another agent has come."""

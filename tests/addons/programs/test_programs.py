@@ -298,6 +298,57 @@ def test_mistakes_are_told_where_they_are(run: RunProgram, tmp_path: Path) -> No
         run("pass", signal="(")
 
 
+WATER = {
+    "moored": False,
+    "duration": "2 s",
+    "reference": "{start: 0 0 5 m, velocity: 0.5 0 0 m/s}",
+    "formation": "{shape: line, spacing: 8 m}",
+    "initial": "[{position: 0 0 5 m, surge: 0.1 m/s}, {position: 0 9 5 m, surge: 0.1 m/s}]",
+}
+STEER = """
+    import json, time, zenoh
+    session, last = zenoh.open(), {}
+    session.declare_subscriber("self/nav", lambda s: last.update(json.loads(s.payload.to_bytes())))
+    time.sleep(1.0)
+    session.put("self/cmd", json.dumps({"force": 7.0, "yaw": 1.0}))
+    print(f"{last['position'][1]:.3f} v")
+    time.sleep(100)
+"""
+ROS_STEER = """
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+    from nav_msgs.msg import Odometry
+    from rclpy.node import Node
+    class Steer(Node):
+        def __init__(self):
+            super().__init__("steer")
+            self.wrench = self.create_publisher(WrenchStamped, "/wrench", 10)
+            self.create_subscription(Odometry, "/odom", self.heard, 1)
+        def heard(self, odom):
+            message = WrenchStamped()
+            message.wrench.force.x, message.wrench.torque.z = 7.0, -1.0  # in ROS z is up
+            self.wrench.publish(message)
+            print(f"{odom.pose.pose.position.x:.3f} v")  # in ROS x is east
+    rclpy.init()
+    rclpy.spin(Steer())
+"""
+
+
+@pytest.mark.parametrize("text", [STEER, ROS_STEER, "import time\ntime.sleep(100)\n"], ids=["zenoh", "rclpy", "none"])
+def test_a_program_steers_its_vehicle_or_leaves_it_to_the_laws(text: str, run: RunProgram, tmp_path: Path) -> None:
+    if "rclpy" in text:
+        pytest.importorskip("rosbags")
+    assert run("pass").status is Status.PASS
+    (tmp_path / "program.py").write_text(dedent(text))
+    result = fleet.run("own.yaml", out=tmp_path / "runs", set=WATER)
+    assert result.directory is not None
+    log = fleet.open_log(result.directory)
+    commanded = log["uuv/2/command"]["tau"][-1].tolist() == [7.0, 0.0, 1.0]
+    assert commanded == ("Steer" in text or "self/cmd" in text), result.reason
+    if commanded:
+        assert abs(float(lines(result, 2)[0].split()[0]) - 9.0) < 1.0
+
+
 def test_a_log_runs_no_program_of_mine_unasked(
     run: RunProgram, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

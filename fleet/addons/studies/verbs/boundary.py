@@ -73,7 +73,7 @@ def boundary(
     found = borders.found()
     if not (json_is_asked() or how.quiet):
         _show(borders, found)
-    picture = _picture(borders, formats, how)
+    picture = _picture(borders, modules, formats, how)
     if json_is_asked():
         from fleet.addons.studies.verbs.documents import boundary_document
 
@@ -123,14 +123,16 @@ def _run(borders: Borders, modules: Modules, timeout_s: float, how: WorkerOption
             raise
 
 
-def _picture(borders: Borders, formats: tuple[str, ...], how: WorkerOptions) -> Path | None:
+def _picture(borders: Borders, modules: Modules, formats: tuple[str, ...], how: WorkerOptions) -> Path | None:
     """Draw the borders; returns the first file, or None if that fails, with a message."""
     from fleet.addons.studies.borders import theory
     from fleet.addons.studies.errors import StudyError
     from fleet.addons.studies.pictures.border import write_borders
+    from world.plugins.trust import Trust, trusting
 
     try:
-        pictures = write_borders(borders, theory(borders), formats)
+        with trusting(Trust(fingerprints=frozenset(modules.fingerprints))):  # what the runs have run
+            pictures = write_borders(borders, theory(borders), formats)
     except StudyError as error:  # the answer is there without it
         say(f"there is no picture: {error}", err=True)
         return None

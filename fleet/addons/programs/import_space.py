@@ -22,7 +22,10 @@ MakeModule = Callable[[], ModuleType]
 
 # Parts of Python that a program gets once more, because they ask for what stand-ins give: time, threads, chance.
 OWN_OF_PYTHON = frozenset(
-    ("_strptime", "concurrent", "dataclasses", "logging", "queue", "random", "sched", "secrets", "uuid")
+    (
+        *("_strptime", "argparse", "cmd", "concurrent", "dataclasses", "fileinput", "logging", "optparse", "pprint"),
+        *("queue", "random", "sched", "secrets", "traceback", "uuid"),
+    )
 )
 # Parts in C that the Python of these modules does without, and must.
 _WITHOUT = frozenset(("_queue", "_uuid"))

@@ -432,6 +432,12 @@ class Token:
             self._zenoh.hear(self._zenoh.number, [UNTOKEN, self.key])
             self._zenoh.send([UNTOKEN, self.key])
 
+    def __enter__(self) -> Token:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.undeclare()
+
 
 class Query:
     """A question that has come."""

@@ -33,6 +33,7 @@ from fleet.addons.programs.import_space import ImportSpace
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
 from fleet.addons.programs.zenoh_session import TOKEN, Zenoh, zenoh_module
+from fleet.errors import FleetError
 from fleet.quantities import time_ns
 from world.errors import PluginError
 from world.plugins.fence import OverBudgetError, alarm
@@ -50,7 +51,7 @@ RCLPY = tuple(
 _PARAMETERS = ("arguments", "signals", "addresses", "order", "cost", "shared")
 
 
-class ProgramFailed(Exception):
+class ProgramFailed(FleetError):
     """A program raised something, or ended with a status."""
 
 

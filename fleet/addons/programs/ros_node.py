@@ -12,6 +12,7 @@ from typing import Any
 
 from agents.api import Nav
 from fleet.addons.programs.ros_messages import RosMessage, from_cdr, known_types, to_cdr
+from fleet.addons.programs.ros_time import Clock, ClockType, Duration, Time
 from fleet.addons.programs.standard import EPOCH_NS
 from fleet.addons.programs.turns import NS, Turns, Waiters
 from fleet.addons.robots.ros2.agent import NavState
@@ -321,80 +322,6 @@ class Client:
         """End it."""
 
 
-class Time:
-    """A time of the program's clock."""
-
-    def __init__(self, *, seconds: float = 0, nanoseconds: int = 0, clock_type: Any = None) -> None:
-        self.nanoseconds = round(seconds * NS) + nanoseconds
-        self.clock_type = clock_type
-
-    def seconds_nanoseconds(self) -> tuple[int, int]:
-        """Whole seconds, and the rest."""
-        return divmod(self.nanoseconds, NS)
-
-    def to_msg(self) -> Any:
-        """As a message."""
-        from fleet.addons.programs.ros_messages import message_class
-
-        name = "builtin_interfaces/msg/Duration" if isinstance(self, Duration) else "builtin_interfaces/msg/Time"
-        sec, nanosec = divmod(self.nanoseconds, NS)
-        return message_class(name)(sec=sec, nanosec=nanosec)
-
-    @classmethod
-    def from_msg(cls, msg: Any, clock_type: Any = None) -> Time:
-        """From a message."""
-        return cls(nanoseconds=msg.sec * NS + msg.nanosec)
-
-    def __sub__(self, other: Any) -> Any:
-        left = self.nanoseconds - other.nanoseconds
-        return (
-            Time(nanoseconds=left)
-            if isinstance(other, Duration) and not isinstance(self, Duration)
-            else Duration(nanoseconds=left)
-        )
-
-    def __add__(self, other: Any) -> Any:
-        return type(self)(nanoseconds=self.nanoseconds + other.nanoseconds)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Time) and self.nanoseconds == other.nanoseconds
-
-    def __lt__(self, other: Any) -> bool:
-        return bool(self.nanoseconds < other.nanoseconds)
-
-    def __le__(self, other: Any) -> bool:
-        return bool(self.nanoseconds <= other.nanoseconds)
-
-    def __hash__(self) -> int:
-        return hash(self.nanoseconds)
-
-
-class Duration(Time):
-    """A time between two."""
-
-
-class ClockType(IntEnum):
-    """Which clock; all are the program's."""
-
-    ROS_TIME, SYSTEM_TIME, STEADY_TIME = 1, 2, 3
-
-
-class Clock:
-    """The program's clock."""
-
-    def __init__(self, ros: Ros) -> None:
-        self._ros = ros
-
-    def now(self) -> Time:
-        """The time."""
-        return Time(nanoseconds=EPOCH_NS + self._ros.turns.now_ns)
-
-    def sleep_for(self, duration: Duration) -> bool:
-        """Wait."""
-        self._ros.turns.wait(self._ros.turns.now_ns + max(1, duration.nanoseconds))
-        return True
-
-
 class Parameter:
     """A value of a node."""
 
@@ -451,7 +378,7 @@ def node_class(ros: Ros) -> type:
             self._parameters: dict[str, Parameter] = {}
             self._set = {each.name: each.value for each in parameter_overrides or ()}
             self._on_set: list[Callable[[list[Parameter]], Any]] = []
-            self._clock, self._logger = Clock(ros), Logger(ros, node_name)
+            self._clock, self._logger = Clock(ros.turns), Logger(ros, node_name)
             self.executor: Any = None
             self.default_callback_group = object()
 
@@ -621,7 +548,7 @@ def rclpy_modules(ros: Ros) -> dict[str, ModuleType]:
         },
         "time": {"Time": Time},
         "duration": {"Duration": Duration},
-        "clock": {"Clock": lambda **_: Clock(ros), "ClockType": ClockType},
+        "clock": {"Clock": lambda **_: Clock(ros.turns), "ClockType": ClockType},
         "parameter": {"Parameter": Parameter},
         "timer": {"Timer": Timer},
         "task": {"Future": lambda **_: Future(ros)},

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 import threading
+from asyncio import events
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -145,8 +147,15 @@ class ProgramAgent:
         self._limited = not config.budget_s
 
     def __del__(self) -> None:
-        if life := getattr(self, "_life", None):
-            life.turns.end()
+        life = getattr(self, "_life", None)
+        if life is None or life.turns.over:
+            return
+        running, hooks = events._get_running_loop(), sys.get_asyncgen_hooks()
+        try:
+            life.turns.end()  # perhaps in the turn of another program, whose loop is not to be disturbed
+        finally:
+            events._set_running_loop(running)
+            sys.set_asyncgen_hooks(*hooks)
 
     def transmit(self, nav: Nav) -> Sequence[bytes]:
         """What the program has sent since the last round, and what the agent that steers sends."""

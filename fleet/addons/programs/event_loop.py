@@ -44,6 +44,7 @@ class ProgramLoop(_Base):  # type: ignore[misc]
         super().__init__()
         self._turns, self._datagrams = turns, datagrams
         self._thread: ProgramThread | None = None
+        turns.at_end.append(self._forget)
         self._selector = self
         self._asleep = False
         if shuffle is not None:
@@ -67,6 +68,12 @@ class ProgramLoop(_Base):  # type: ignore[misc]
             events._set_running_loop(running)
             sys.set_asyncgen_hooks(*hooks)
         return []
+
+    def _forget(self) -> None:
+        """Say nothing about tasks that were under way, and of being closed by nobody: the program has ended."""
+        for task in asyncio.all_tasks(self):
+            task._log_destroy_pending = False  # type: ignore[attr-defined]
+        self._closed = True
 
     def _process_events(self, event_list: Any) -> None: ...
 

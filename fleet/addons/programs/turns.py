@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from heapq import heappop, heappush
 from itertools import count
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from greenlet import GreenletExit, getcurrent, greenlet
 
 NS = 10**9
+_MOST_REFUSED = 100  # waits of a program that was ended
 
 
 class Waiters:
@@ -66,11 +68,14 @@ class Turns:
         self._idents = count(1)
         self._order = count()
         self._ready: deque[ProgramThread] = deque()
+        self._threads: list[ProgramThread] = []
+        self.at_end: list[Callable[[], object]] = []  # called when the program is ended
         self._alarms: list[tuple[int, int, ProgramThread, int]] = []
 
     def start(self, call: Callable[[], object]) -> ProgramThread:
         """A new thread, whose first turn comes after those that are ready."""
         thread = ProgramThread(next(self._idents), call)
+        self._threads.append(thread)
         self._ready.append(thread)
         return thread
 
@@ -84,8 +89,13 @@ class Turns:
             Whether somebody woke it before the time had come.
         """
         thread = self.current
-        if thread is None or self.over:
-            raise GreenletExit  # the program was ended, or its module is used from outside of it
+        if self.over:
+            self._refused += 1
+            if self._refused > _MOST_REFUSED and self._hub is not None:
+                self._hub.switch()  # it catches everything, and goes on: it stays where it is
+            raise GreenletExit
+        if thread is None:
+            raise GreenletExit  # its module is used from outside of its turn
         thread.waits += 1
         thread.waiting, thread.woken = True, False
         if until_ns is not None:
@@ -121,6 +131,8 @@ class Turns:
                 thread.task.switch()
             finally:
                 self.current = None
+            if thread.task.dead:
+                self._threads.remove(thread)
 
     @property
     def idle(self) -> bool:
@@ -132,7 +144,18 @@ class Turns:
         self.start(lambda: function(*arguments))
 
     def end(self) -> None:
-        """End the program: no thread of it has a turn again."""
-        self.over = True
+        """End the program: its threads unwind, and nothing that they do meanwhile has an effect.
+
+        The collector cannot free a thread that waits, because it does not see what its frames hold.
+        """
+        self.over, self._refused = True, 0
+        for call in self.at_end:
+            call()
+        threads, self._threads = self._threads, []
         self._ready.clear()
         self._alarms.clear()
+        self._hub = getcurrent()
+        for thread in threads:
+            thread.task.parent = self._hub
+            with suppress(BaseException):
+                thread.task.throw(GreenletExit)

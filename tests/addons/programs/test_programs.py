@@ -287,6 +287,39 @@ def test_a_killed_program_begins_anew_without_a_trace(run: RunProgram, tmp_path:
     assert said[0].split()[2] != said[1].split()[2]
 
 
+STUBBORN = """
+    import asyncio, threading, time
+    def forever():
+        while True:
+            try: time.sleep(0.1)
+            except BaseException: pass
+    threading.Thread(target=forever).start()
+    async def main():
+        asyncio.get_running_loop().create_task(asyncio.sleep(50))
+        await asyncio.sleep(100)
+    asyncio.run(main())
+"""
+
+
+def left() -> int:
+    gc.collect()
+    return sum(type(each).__name__ in ("ProgramLife", "ProgramLoop") for each in gc.get_objects())
+
+
+def test_nothing_of_a_run_is_left(run: RunProgram) -> None:
+    """The collector does not see into threads that wait."""
+    before = left()
+    sleeping = "import threading, time\nthreading.Timer(9, print).start()\nwhile True:\n    time.sleep(0.1)\n"
+    for text in (sleeping, RACE, STUBBORN.replace("except BaseException", "except Exception")):
+        assert run(text).status is Status.PASS
+    assert left() == before
+
+
+def test_a_program_that_catches_everything_ends_too(run: RunProgram) -> None:
+    assert run(STUBBORN).status is Status.PASS
+    gc.collect()
+
+
 def test_mistakes_are_told_where_they_are(run: RunProgram, tmp_path: Path) -> None:
     for key, value, words in (
         ("order", "odd", "order: expected ready or seeded, got 'odd'"),

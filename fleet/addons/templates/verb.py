@@ -1,4 +1,4 @@
-"""The command `fleet new`: a law, protocol, check or vehicle with a scenario, or a scenario, as templates that run."""
+"""The command `fleet new`: a law, protocol, program, check or vehicle with a scenario, or a scenario, that run."""
 
 from __future__ import annotations
 
@@ -90,6 +90,19 @@ def plant(name: str, *, folder: InFolder = Path()) -> None:
       fleet new plant glider --dir vehicles
     """
     _write_modules(name, folder, {".py": "plant.py", ".yaml": "plant.yaml"}, "Plant")
+
+
+@command(group=new)
+def program(name: str, *, folder: InFolder = Path()) -> None:
+    """Write NAME.py, a zenoh program that knows nothing of us, and the files that run it in lockstep and on a network.
+
+    \b
+    Examples:
+      fleet new program greatest
+      fleet new program greatest --dir programs
+    """
+    templates = {".py": "program.py", "_stack.yaml": "program_stack.yaml", ".yaml": "program.yaml"}
+    _write_modules(name, folder, templates, "Program")
 
 
 @command(group=new)

@@ -301,6 +301,14 @@ STUBBORN = """
 """
 
 
+def test_the_template_runs_and_passes_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert invoke("new", "program", "greatest").exit_code == 0
+    result = fleet.run("greatest.yaml")
+    assert result.status is Status.PASS, (result.reason, result.checks)
+    assert invoke("check", "greatest_stack.yaml").exit_code == 0
+
+
 def left() -> int:
     gc.collect()
     return sum(type(each).__name__ in ("ProgramLife", "ProgramLoop") for each in gc.get_objects())

@@ -375,6 +375,64 @@ ROS_STEER = """
 """
 
 
+TUTORIAL = """
+    import sys
+    import rclpy
+    from example_interfaces.srv import AddTwoInts
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from std_msgs.msg import String
+    me = int(sys.argv[1])
+    class Publisher(Node):
+        def __init__(self):
+            super().__init__("minimal_publisher")
+            self.declare_parameter("word", "Hello")
+            qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+            self.publisher_ = self.create_publisher(String, "topic", qos)
+            self.timer = self.create_timer(0.5, self.timer_callback)
+            self.srv = self.create_service(AddTwoInts, "add_two_ints", self.add)
+            self.i = 0
+        def timer_callback(self):
+            msg = String()
+            msg.data = f"{self.get_parameter('word').value} World: {self.i}"
+            self.publisher_.publish(msg)
+            self.get_logger().info(f'Publishing: "{msg.data}"')
+            self.i += 1
+        def add(self, request, response):
+            response.sum = request.a + request.b
+            return response
+    class Subscriber(Node):
+        def __init__(self):
+            super().__init__("minimal_subscriber")
+            self.subscription = self.create_subscription(String, "topic", self.heard, 10)
+            self.cli = self.create_client(AddTwoInts, "add_two_ints")
+        def heard(self, msg):
+            self.get_logger().info(f'I heard: "{msg.data}"')
+    rclpy.init()
+    if me == 1:
+        rclpy.spin(Publisher())
+    node = Subscriber()
+    while not node.cli.wait_for_service(timeout_sec=1.0): pass
+    future = node.cli.call_async(AddTwoInts.Request(a=2, b=3))
+    rclpy.spin_until_future_complete(node, future)
+    print(f"{future.result().sum} v")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    executor.spin()
+"""
+
+
+def test_nodes_of_the_tutorials_of_ros(run: RunProgram) -> None:
+    """A publisher with a timer, a subscriber, a service and its client, in the style of rclpy's tutorials."""
+    pytest.importorskip("rosbags")
+    result = run(TUTORIAL)
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert lines(result)[0] == '[INFO] [minimal_publisher]: Publishing: "Hello World: 0"'
+    said = lines(result, 2)
+    assert said[0] == "5 v" and said[1] == '[INFO] [minimal_subscriber]: I heard: "Hello World: 0"'
+
+
 @pytest.mark.parametrize("text", [STEER, ROS_STEER, "import time\ntime.sleep(100)\n"], ids=["zenoh", "rclpy", "none"])
 def test_a_program_steers_its_vehicle_or_leaves_it_to_the_laws(text: str, run: RunProgram, tmp_path: Path) -> None:
     if "rclpy" in text:

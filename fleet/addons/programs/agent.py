@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 import threading
-from asyncio import events
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +28,7 @@ from agents.api import (
 )
 from fleet.addons.programs import standard
 from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, socket_module
-from fleet.addons.programs.event_loop import asyncio_module
+from fleet.addons.programs.event_loop import asyncio_module, loop_aside
 from fleet.addons.programs.import_space import ImportSpace
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
@@ -150,12 +148,8 @@ class ProgramAgent:
         life = getattr(self, "_life", None)
         if life is None or life.turns.over:
             return
-        running, hooks = events._get_running_loop(), sys.get_asyncgen_hooks()
-        try:
-            life.turns.end()  # perhaps in the turn of another program, whose loop is not to be disturbed
-        finally:
-            events._set_running_loop(running)
-            sys.set_asyncgen_hooks(*hooks)
+        with loop_aside():  # it may be the turn of another program
+            life.turns.end()
 
     def transmit(self, nav: Nav) -> Sequence[bytes]:
         """What the program has sent since the last round, and what the agent that steers sends."""
@@ -169,7 +163,8 @@ class ProgramAgent:
         if not self._moored:
             self._life.navigate(nav)
         if now_ns >= self._busy_until_ns:
-            self._advance(now_ns)
+            with loop_aside():
+                self._advance(now_ns)
             self._busy_until_ns = now_ns + self._cost_ns
         return tau if self._life.tau is None else self._life.tau, self._life.values
 

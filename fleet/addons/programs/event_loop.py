@@ -6,7 +6,8 @@ import asyncio
 import sys
 from asyncio import base_events, events
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from random import Random
 from types import ModuleType
 from typing import Any
@@ -16,6 +17,22 @@ from fleet.addons.programs.standard import NO_PROCESSES, NO_SOCKETS
 from fleet.addons.programs.turns import NS, ProgramThread, Turns
 
 _Base: Any = base_events.BaseEventLoop  # its methods differ in their types from version to version
+
+
+@contextmanager
+def loop_aside() -> Iterator[None]:
+    """Take the running loop and the hooks of asyncio from this thread, and give them back afterwards.
+
+    Who runs a program may have a loop, and each program that waits in the same thread may have one.
+    """
+    running, hooks = events._get_running_loop(), sys.get_asyncgen_hooks()
+    events._set_running_loop(None)
+    sys.set_asyncgen_hooks(None, None)
+    try:
+        yield
+    finally:
+        events._set_running_loop(running)
+        sys.set_asyncgen_hooks(*hooks)
 
 
 class _Shuffled(deque[Any]):
@@ -58,15 +75,12 @@ class ProgramLoop(_Base):  # type: ignore[misc]
         """Wait, in place of a selector of files: until a callback is due, or something has come."""
         if timeout is not None and timeout <= 0:
             return []
-        running, hooks = events._get_running_loop(), sys.get_asyncgen_hooks()
-        events._set_running_loop(None)  # programs of other agents have loops of their own in this thread
         self._thread, self._asleep = self._turns.current, True
         try:
-            self._turns.wait(None if timeout is None else self._turns.now_ns + max(1, round(timeout * NS)))
+            with loop_aside():
+                self._turns.wait(None if timeout is None else self._turns.now_ns + max(1, round(timeout * NS)))
         finally:
             self._asleep = False
-            events._set_running_loop(running)
-            sys.set_asyncgen_hooks(*hooks)
         return []
 
     def _forget(self) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import dedent
@@ -307,6 +309,15 @@ def test_the_template_runs_and_passes_as_it_is(tmp_path: Path, monkeypatch: pyte
     result = fleet.run("greatest.yaml")
     assert result.status is Status.PASS, (result.reason, result.checks)
     assert invoke("check", "greatest_stack.yaml").exit_code == 0
+
+
+def test_a_loop_of_who_runs_it_goes_on(run: RunProgram) -> None:
+    async def host() -> None:
+        before = asyncio.get_running_loop(), sys.get_asyncgen_hooks()
+        assert run(RACE).status is Status.PASS
+        assert (asyncio.get_running_loop(), sys.get_asyncgen_hooks()) == before
+
+    asyncio.run(host())
 
 
 def left() -> int:

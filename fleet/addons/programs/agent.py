@@ -43,11 +43,6 @@ ZENOH, DATAGRAM, ROS = "zenoh", "udp", "ros"  # kinds of payloads
 BUDGET_S = 10.0  # of computing in one turn, unless the scenario has a budget of its own
 TOKENS_NS = 500_000_000  # how often tokens are told again
 NOTHING_YET = -1.0  # a signal before the program has printed a line of it
-RCLPY = tuple(
-    "rclpy" + name
-    for name in ("", ".node", ".executors", ".qos", ".time", ".duration", ".clock", ".parameter", ".timer", ".task",
-                 ".callback_groups", ".logging", ".subscription", ".publisher", ".exceptions", ".utilities")
-)  # fmt: skip
 _PARAMETERS = ("arguments", "signals", "addresses", "order", "cost", "shared")
 
 
@@ -261,11 +256,10 @@ class ProgramLife:
             "asyncio": partial(asyncio_module, turns, self._datagrams, shuffle),
             "zenoh": partial(zenoh_module, self._zenoh),
             "zenoh.handlers": lambda: space.load("zenoh").handlers,
-            **{name: partial(self._rclpy, name) for name in RCLPY},
         }
         own = {"print": standard.print_to(output)}
         space = ImportSpace(self._file.parent, stand_ins, standard.REFUSED, own, self._shared)
-        space.make_others = interfaces
+        space.make_others = self._of_ros
         arguments = [str(self._file), *self._arguments]
         stand_ins["sys"] = partial(standard.sys_module, arguments, space.every_module, space.path, output)
         stand_ins["random"] = partial(_random, space, stand_ins, chance)
@@ -278,14 +272,16 @@ class ProgramLife:
             if end.code not in (None, 0):
                 raise ProgramFailed(f"it ended with {end.code!r:.200}") from None
 
-    def _rclpy(self, name: str) -> ModuleType:
+    def _of_ros(self, name: str) -> ModuleType | None:
+        if name.partition(".")[0] != "rclpy":
+            return interfaces(name)
         from fleet.addons.programs.ros_node import Ros, rclpy_modules
 
         if self._ros is None:
             self._ros = Ros(self.turns, self._config.id, partial(self._send, ROS), self._output.write)
             self._ros.command = self._command
             self._rclpy_modules = rclpy_modules(self._ros)
-        return self._rclpy_modules[name]
+        return self._rclpy_modules.get(name)
 
     def _hear_line(self, line: str) -> None:
         if self.turns.over:

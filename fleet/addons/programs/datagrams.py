@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from fleet.addons.programs.standard import NO_SOCKETS
-from fleet.addons.programs.turns import NS, Turns, Waiters
+from fleet.addons.programs.turns import Turns, Waiters
 
 EVERYBODY = 0
 MOST_WAITING = 4096  # datagrams that a socket holds; more are lost, as in a kernel
@@ -152,8 +152,7 @@ def socket_module(datagrams: Datagrams) -> ModuleType:
             if not self._got:
                 if self._timeout == 0.0:
                     raise BlockingIOError(11, "Resource temporarily unavailable")
-                until = None if self._timeout is None else turns.now_ns + round(self._timeout * NS)
-                if not self._waiting.wait(until) or not self._got:
+                if not self._waiting.wait(turns.until(self._timeout)) or not self._got:
                     if self._closed:
                         raise OSError(9, "Bad file descriptor")
                     raise TimeoutError("timed out")

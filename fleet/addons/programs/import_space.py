@@ -108,18 +108,13 @@ class ImportSpace:
 
     def _spec(self, name: str, first: str, parent: ModuleType | None) -> ModuleSpec | None:
         """Where a module of the program's own lies; None: it is one that all share."""
-        if parent is not None:
-            if not any(parent is each for each in self.modules.values()) or getattr(parent, "__spec__", None) is None:
-                return None
-            path = getattr(parent, "__path__", None)
-            spec = None if path is None else PathFinder.find_spec(name, list(path))
-        else:
-            spec = PathFinder.find_spec(name, self.path)
+        path = self.path if parent is None else getattr(parent, "__path__", None)
+        spec = None if path is None else PathFinder.find_spec(name, list(path))
         if spec is None or not isinstance(spec.loader, SourceFileLoader):
             return None
         if first in sys.stdlib_module_names:
             return spec if first in OWN_OF_PYTHON else None
-        return None if first in self._shared or _has_compiled_parts(first, spec.origin or "") else spec
+        return None if first in self._shared or _has_compiled_parts(first) else spec
 
     def _new(self, spec: ModuleSpec, package: str) -> ModuleType:
         module = ModuleType(spec.name)
@@ -158,7 +153,7 @@ class ImportSpace:
 
 
 @cache
-def _has_compiled_parts(first: str, origin: str) -> bool:
+def _has_compiled_parts(first: str) -> bool:
     """Whether a package has modules in C: they cannot be loaded twice."""
     spec = importlib.util.find_spec(first)
     places = [] if spec is None or spec.submodule_search_locations is None else [*spec.submodule_search_locations]

@@ -295,7 +295,7 @@ class Client:
     def call(self, request: RosMessage, timeout_sec: float | None = None) -> Any:
         """Ask, and wait for the answer."""
         future = self.call_async(request)
-        end = None if timeout_sec is None else self._ros.turns.now_ns + round(timeout_sec * NS)
+        end = self._ros.turns.until(timeout_sec)
         while not future.done() and self._ros.spin_once(end):
             pass
         return future.result()
@@ -492,10 +492,10 @@ def rclpy_modules(ros: Ros) -> dict[str, ModuleType]:
             ros.spin_once(None)
 
     def spin_once(node: Any = None, *, executor: Any = None, timeout_sec: float | None = None) -> None:
-        ros.spin_once(None if timeout_sec is None or timeout_sec < 0 else ros.turns.now_ns + round(timeout_sec * NS))
+        ros.spin_once(None if timeout_sec is None or timeout_sec < 0 else ros.turns.until(timeout_sec))
 
     def until_complete(node: Any, future: Any, executor: Any = None, timeout_sec: float | None = None) -> None:
-        end = None if timeout_sec is None else ros.turns.now_ns + round(timeout_sec * NS)
+        end = ros.turns.until(timeout_sec)
         while ros.ok and not future.done() and ros.spin_once(end):
             pass
 

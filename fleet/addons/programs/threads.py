@@ -8,9 +8,7 @@ from itertools import count
 from types import ModuleType
 from typing import Any
 
-from fleet.addons.programs.turns import NS, Turns, Waiters
-
-MAX_S = 1e9  # the longest wait that a program may ask for
+from fleet.addons.programs.turns import MAX_S, NS, Turns, Waiters
 
 
 def thread_module(threading: ModuleType) -> ModuleType:
@@ -42,9 +40,6 @@ def threading_module(turns: Turns, write_error: Callable[[str], object]) -> Modu
     def get_ident() -> int:
         return 0 if turns.current is None else turns.current.ident
 
-    def until(timeout: float | None) -> int | None:
-        return None if timeout is None else turns.now_ns + round(max(0.0, min(timeout, MAX_S)) * NS)
-
     class Lock:
         """A lock; threads get it in the order in which they asked."""
 
@@ -55,7 +50,7 @@ def threading_module(turns: Turns, write_error: Callable[[str], object]) -> Modu
 
         def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
             if self._depth and not (self.reentrant and self._owner == get_ident()):
-                if not blocking or not self._waiters.wait(until(None if timeout < 0 else timeout)):
+                if not blocking or not self._waiters.wait(turns.until(None if timeout < 0 else timeout)):
                     return False  # otherwise who released it left it held, for this thread
                 self._owner = get_ident()
                 return True
@@ -116,12 +111,12 @@ def threading_module(turns: Turns, write_error: Callable[[str], object]) -> Modu
                 raise RuntimeError("cannot wait on un-acquired lock")
             depth = self._lock.give_up()
             try:
-                return self._waiters.wait(until(timeout))
+                return self._waiters.wait(turns.until(timeout))
             finally:
                 self._lock.take_back(depth)
 
         def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
-            end, found = until(timeout), predicate()
+            end, found = turns.until(timeout), predicate()
             while not found and (end is None or turns.now_ns < end):
                 self.wait(None if end is None else (end - turns.now_ns) / NS)
                 found = predicate()
@@ -156,7 +151,7 @@ def threading_module(turns: Turns, write_error: Callable[[str], object]) -> Modu
             self._set = False
 
         def wait(self, timeout: float | None = None) -> bool:
-            return self._set or self._waiters.wait(until(timeout)) or self._set
+            return self._set or self._waiters.wait(turns.until(timeout)) or self._set
 
     class Semaphore:
         """A number of places."""
@@ -170,7 +165,7 @@ def threading_module(turns: Turns, write_error: Callable[[str], object]) -> Modu
             if self._value:
                 self._value -= 1
                 return True
-            return blocking and self._waiters.wait(until(timeout))
+            return blocking and self._waiters.wait(turns.until(timeout))
 
         def release(self, n: int = 1) -> None:
             self._value += n - self._waiters.wake(n)
@@ -215,7 +210,7 @@ def threading_module(turns: Turns, write_error: Callable[[str], object]) -> Modu
                 if self._action is not None:
                     self._action()
                 self._waiters.wake()
-            elif not self._waiters.wait(until(self._timeout if timeout is None else timeout)) or self.broken:
+            elif not self._waiters.wait(turns.until(self._timeout if timeout is None else timeout)) or self.broken:
                 self.abort()
                 raise BrokenBarrierError
             return place
@@ -269,7 +264,7 @@ def threading_module(turns: Turns, write_error: Callable[[str], object]) -> Modu
             if self.ident is None:
                 raise RuntimeError("cannot join thread before it is started")
             if not self._over:
-                self._waiters.wait(until(timeout))
+                self._waiters.wait(turns.until(timeout))
 
         def is_alive(self) -> bool:
             return self.ident is not None and not self._over

@@ -12,6 +12,7 @@ from typing import Any
 from greenlet import GreenletExit, getcurrent, greenlet
 
 NS = 10**9
+MAX_S = 1e9  # the longest wait that a program may ask for
 _MOST_REFUSED = 100  # waits of a program that was ended
 
 
@@ -105,6 +106,10 @@ class Turns:
         if self.over:
             raise GreenletExit
         return thread.woken
+
+    def until(self, timeout_s: float | None) -> int | None:
+        """When a wait that begins now is over [ns]. `timeout_s`: how long it may last; None: without an end."""
+        return None if timeout_s is None else self.now_ns + round(max(0.0, min(timeout_s, MAX_S)) * NS)
 
     def wake(self, thread: ProgramThread) -> bool:
         """Let a thread that waits go on, after those that are ready. False: it waits no more, its time has come."""

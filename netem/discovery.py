@@ -19,7 +19,7 @@ class Discovery:
         self,
         robots: Mapping[int, Robot],
         hearers: Mapping[int, set[int]],
-        relay: Relay,
+        relay: Callable[[], Relay],
         note: Callable[[str], None],
         *,
         linked: bool,
@@ -30,7 +30,7 @@ class Discovery:
         Args:
             robots: by number.
             hearers: by robot, those that get its tokens.
-            relay: says which links pass something now, and how late.
+            relay: gives the relay of now, which says which links pass something, and how late.
             note: takes a line for the operator.
             linked: a token appears after the delay of its link, and disappears when nothing can pass the link.
             lost_after_ns: for how long nothing may pass before a token disappears.
@@ -39,7 +39,7 @@ class Discovery:
         self._linked, self._lost_after_ns = linked, lost_after_ns
         self._tokens: dict[str, set[int]] = {}  # by key: the robots that have it
         self._coming: dict[Link, dict[str, int]] = {}  # when a token is to appear at the end of a link [ns]
-        self._shown: dict[Link, set[str]] = {link: set() for link in relay.config.links}
+        self._shown: dict[Link, set[str]] = {link: set() for link in relay().config.links}
         self._passed_ns: dict[Link, int] = {}  # when something could pass a link last
 
     def announce(self, token: Token) -> None:
@@ -66,15 +66,15 @@ class Discovery:
         self._tokens.setdefault(key, holders).add(token.robot)
         for link in links:
             if self._linked:
-                self._coming.setdefault(link, {})[key] = monotonic_ns() + self._relay.latency_ns(link)
+                self._coming.setdefault(link, {})[key] = monotonic_ns() + self._relay().latency_ns(link)
             else:
                 self._show(link, key)
 
     def update(self, now_ns: int) -> None:
         """With `linked`, show the tokens that are due, and hide those behind a link that nothing passes for long."""
-        for link in self._relay.config.links if self._linked else ():
+        for link in self._relay().config.links if self._linked else ():
             coming = self._coming.setdefault(link, {})
-            if self._relay.passes(link, now_ns):
+            if self._relay().passes(link, now_ns):
                 self._passed_ns[link] = now_ns
                 for key in [key for key, at_ns in coming.items() if at_ns <= now_ns]:
                     del coming[key]

@@ -240,6 +240,15 @@ class Relay:
             self._leaving[id(due)] = due
             yield due
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is under way, and everything that was given out is settled."""
+        return not (self._out.heap or self._leaving or self._came)
+
+    def gave(self, due: DueMessage) -> bool:
+        """Whether a message was given out by this relay, and is not settled."""
+        return id(due) in self._leaving
+
     def settle(self, due: DueMessage, at_ns: int, *, delivered: bool) -> None:
         """A message that was due has been handed over, or its receiver did not take it."""
         del self._leaving[id(due)]

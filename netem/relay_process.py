@@ -12,6 +12,7 @@ import socket
 import sys
 from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
@@ -40,6 +41,7 @@ SILENT_NS = 10_000_000_000  # after such a silence another program may be the se
 SLOW_NS = 100_000_000  # a robot that keeps a message waiting for longer is named
 _BEHIND = 64  # reports that the console may be behind before the relay waits for it
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
+_UDP = "udp/"  # what the keys of datagrams begin with
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
 
 
@@ -51,6 +53,14 @@ class Port(Struct, frozen=True):
     dst: int
     host: str
     to: int  # 0: to the sender of the last datagram of the way back
+
+
+class Watched(Struct, frozen=True):
+    """Something of a robot that the console wants to know, whether the network carries it or not."""
+
+    robot: int
+    key: str  # a key expression of zenoh, or `udp/PORT` for the datagrams of one of our ports
+    token: bool = False  # a liveliness token, and not a message
 
 
 class Setup(Struct):
@@ -67,6 +77,7 @@ class Setup(Struct):
     payloads: bool = False
     linked: bool = False  # discovery
     lost_after_ns: int = 0
+    watched: tuple[Watched, ...] = ()
     ticks: int = 2**62  # the length of the run, if the console does not end it
 
 
@@ -81,14 +92,31 @@ class LoggedMessage(Struct):
     payload: bytes
 
 
+class Opened(Struct):
+    """The first thing that the console hears."""
+
+    ports: dict[int, int] = {}  # by robot whose address leaves its port open: the port of our router
+    problem: str = ""  # why the relay cannot begin
+
+
+class WatchedMessage(Struct):
+    """A message or token that the console wants to know."""
+
+    which: int  # place among those that are watched
+    at_ns: int
+    key: str
+    payload: bytes = b""
+
+
 class RelayReport(Struct):
     """The events up to a tick."""
 
-    until: int
+    until: int  # below 0: of the time in which programs get ready
     fates: list[MessageFate]
     said: list[LoggedMessage] = []
     placed: list[tuple[int, str, bytes]] = []  # robot, key, and message of a topic that says where it is
     notes: list[str] = []
+    watched: list[WatchedMessage] = []
     closing: dict[str, Any] | None = None  # with the last report: counts and lateness
 
 
@@ -100,7 +128,7 @@ class _Datagram(Struct):
 
 
 def run(pipe: Connection, setup: Setup) -> None:
-    """Serve until the console says so, or is gone. It first gets one text: empty, or why this cannot begin."""
+    """Serve until the console says so, or is gone. It first gets an `Opened`."""
     quiet_zenoh()
     os.environ.pop("ZENOH_RUNTIME", None)
     sys.setswitchinterval(_SWITCH_S)
@@ -108,9 +136,9 @@ def run(pipe: Connection, setup: Setup) -> None:
     try:
         process = RelayProcess(pipe, setup, queue)
     except BusError as error:
-        pipe.send_bytes(str(error).encode())
+        pipe.send_bytes(msgspec.msgpack.encode(Opened(problem=str(error))))
         return
-    pipe.send_bytes(b"")
+    pipe.send_bytes(msgspec.msgpack.encode(Opened(process.ports)))
     with suppress(EOFError):
         begin_ns = msgspec.msgpack.decode(pipe.recv_bytes())["at_ns"]
         gc.freeze()
@@ -132,6 +160,10 @@ class RelayProcess:
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
         self._said: list[LoggedMessage] = []
+        self._watched: list[WatchedMessage] = []
+        self._end: int | None = None  # the tick before which the run ends, as soon as that is known
+        self._begin_ns: int | None = None  # when tick 0 begins; None: programs get ready, and it is not known yet
+        self._rehearsal: Relay | None = None  # the relay of that time, as long as something of it is under way
         self._inlets = {access.number: Inlet(queue.put) for access in setup.robots}
         self._refused: Counter[int] = Counter()  # by robot: messages that found no room on their way here
         self._waiting: dict[Ticket, int] = {}  # oldest first, with the bytes of its query; without us it would end
@@ -157,15 +189,25 @@ class RelayProcess:
                 self._hearers.setdefault(src, set()).add(dst)
         self._twice()
 
-    def serve(self, begin_ns: int) -> None:
-        """Hand over what is due, until the run is over or the console ends it; tick 0 begins at `begin_ns`."""
-        config = self._setup.config
-        self._relay = relay = Relay(config, begin_ns, header=self._setup.header, fragments=self._setup.fragments)
-        relay.places.update(self._setup.places)
+    @property
+    def ports(self) -> dict[int, int]:
+        """The ports that the system chose, by robot."""
+        return {i: robot.port for i, robot in self._robots.items() if robot.port}
+
+    def serve(self, begin_ns: int | None) -> None:
+        """Hand over what is due, until the run is over or the console ends it.
+
+        Args:
+            begin_ns: when tick 0 begins; None: programs get ready first, and the console says it meanwhile. The network
+                carries what they say to each other, without faults, and nothing of that is in the log.
+        """
+        self._begin_ns = begin_ns
+        now = monotonic_ns()
+        self._relay = self._made(now if begin_ns is None else begin_ns, rehearses=begin_ns is None)
         self._discovery = Discovery(
             self._robots,
             self._hearers,
-            relay,
+            lambda: self._relay,
             self._note,
             linked=self._setup.linked,
             lost_after_ns=self._setup.lost_after_ns,
@@ -178,31 +220,72 @@ class RelayProcess:
         for i, robot in self._robots.items():
             robot.begin()
             if i in self._setup.place_topics:
-                robot.watch(self._setup.place_topics[i])
-        round_ns = config.round_ticks * config.tick_ns
-        reported = 0  # rounds
-        self._end: int | None = None
-        while self._end is None:
+                robot.follow(self._setup.place_topics[i])
+        for which, watched in enumerate(self._setup.watched):
+            if watched.robot in self._robots and not watched.key.startswith(_UDP):
+                self._robots[watched.robot].watch(watched.key, partial(self._see, which), token=watched.token)
+        if begin_ns is None:
+            self._rehearse()
+        if self._end is None:
+            self._serve()
+        self._last(min(self._end or 0, self._setup.ticks))
+
+    def _made(self, begin_ns: int, *, rehearses: bool) -> Relay:
+        config = replace(self._setup.config, faults=()) if rehearses else self._setup.config
+        relay = Relay(config, begin_ns, header=self._setup.header, fragments=self._setup.fragments)
+        relay.places.update(self._setup.places)
+        return relay
+
+    def _rehearse(self) -> None:
+        """Carry what programs say while they get ready."""
+        while self._end is None and (self._begin_ns is None or monotonic_ns() < self._begin_ns):
             now = monotonic_ns()
-            due, next_round = relay.due_ns(), begin_ns + (reported + 1) * round_ns + config.tick_ns
-            until = next_round if due is None else min(due, next_round)
-            if until > now:
-                with suppress(Empty):
-                    self._take(self._queue.get(timeout=(until - now) / 1e9))
-            for _ in range(min(_BATCH, self._queue.qsize())):
-                self._take(self._queue.get_nowait())
-            self._refuse()
-            self._hand_over()
-            self._settle()
+            self._turn(min(now + self._round_ns, self._begin_ns or now + self._round_ns))
+            self._discovery.update(monotonic_ns())
+            self._relay.report(self._relay.tick(monotonic_ns()))  # forgotten
+            self._report(-1, [])
+        self._rehearsal = self._relay
+        self._relay = self._made(self._begin_ns or 0, rehearses=False)
+        self._relay.places.update(self._rehearsal.places)
+
+    def _serve(self) -> None:
+        assert self._begin_ns is not None
+        config, begin_ns = self._setup.config, self._begin_ns
+        reported = 0  # rounds
+        while self._end is None:
+            next_round = begin_ns + (reported + 1) * self._round_ns + config.tick_ns
+            self._turn(next_round)
             now = monotonic_ns()
             if now >= next_round:
-                reported = (now - begin_ns - config.tick_ns) // round_ns
+                reported = (now - begin_ns - config.tick_ns) // self._round_ns
                 if reported * config.round_ticks >= self._setup.ticks:
                     self._end = self._setup.ticks
                     break
                 self._discovery.update(now)
-                self._report(reported * config.round_ticks)
-        self._last(min(self._end, self._setup.ticks))
+                until = reported * config.round_ticks
+                self._report(until, self._relay.report(until))
+
+    @property
+    def _round_ns(self) -> int:
+        return self._setup.config.round_ticks * self._setup.config.tick_ns
+
+    def _turn(self, most_ns: int) -> None:
+        """Wait until something comes or is due, at most to a time, and do what there is to do."""
+        now, due = monotonic_ns(), self._relay.due_ns()
+        until = most_ns if due is None else min(due, most_ns)
+        if until > now:
+            with suppress(Empty):
+                self._take(self._queue.get(timeout=(until - now) / 1e9))
+        for _ in range(min(_BATCH, self._queue.qsize())):
+            self._take(self._queue.get_nowait())
+        self._refuse()
+        self._hand_over()
+        self._settle()
+
+    def _see(self, which: int, key: str, payload: bytes) -> None:
+        """Keep something that is watched; zenoh calls it on a thread of its own."""
+        if len(payload) <= MOST_KEPT_BYTES:
+            self._queue.put(WatchedMessage(which, monotonic_ns(), key, payload))
 
     def _take(self, item: Any) -> None:
         match item:
@@ -215,8 +298,13 @@ class RelayProcess:
                 known, heard_ns = self._senders.get(port.src, (sender, at_ns))
                 if sender == known or at_ns - heard_ns > SILENT_NS:
                     self._senders[port.src] = sender, at_ns
-                key = f"udp/{port.port}"
+                key = f"{_UDP}{port.port}"
+                for which, watched in enumerate(self._setup.watched):
+                    if watched.robot == port.src and watched.key == key:
+                        self._watched.append(WatchedMessage(which, at_ns, key, payload))
                 self._send_message(RobotMessage(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
+            case WatchedMessage():
+                self._watched.append(item)
             case dict():
                 self._asked(item)
             case None:
@@ -272,6 +360,8 @@ class RelayProcess:
 
     def _asked(self, request: dict[str, Any]) -> None:
         match request["op"]:
+            case "begin":
+                self._begin_ns = request["at_ns"]
             case "faults":
                 self._relay.faults = read_faults(request["faults"])
             case "places":
@@ -280,7 +370,14 @@ class RelayProcess:
                 self._end = self._relay.tick(monotonic_ns()) + 1
 
     def _hand_over(self) -> None:
-        for due in self._relay.handed(monotonic_ns()):
+        self._hand_over_of(self._relay)
+        if self._rehearsal is not None:
+            self._hand_over_of(self._rehearsal)
+            if self._rehearsal.empty:
+                self._rehearsal = None
+
+    def _hand_over_of(self, relay: Relay) -> None:
+        for due in relay.handed(monotonic_ns()):
             if due.message.kind == DATAGRAM:
                 at_ns = monotonic_ns()
                 self._relay.late.add(at_ns - due.due_ns)
@@ -333,7 +430,9 @@ class RelayProcess:
 
     def _has_ended(self, due: DueMessage, at_ns: int, *, delivered: bool) -> None:
         self._untaken[due.dst] += not delivered
-        self._relay.settle(due, at_ns, delivered=delivered)
+        of_rehearsal = self._rehearsal is not None and self._rehearsal.gave(due)
+        relay = self._rehearsal if of_rehearsal and self._rehearsal is not None else self._relay
+        relay.settle(due, at_ns, delivered=delivered)
 
     def _linked(self, link: robots.Linked) -> None:
         robot = self._robots[link.robot]
@@ -356,10 +455,11 @@ class RelayProcess:
             self._told.add(text)
             self._notes.append(text)
 
-    def _report(self, until: int) -> None:
+    def _report(self, until: int, fates: list[MessageFate]) -> None:
         placed = [(i, *robot.placed.pop()) for i, robot in self._robots.items() if robot.placed]
-        report = RelayReport(until, self._relay.report(until), self._said, placed, self._notes)
-        self._said, self._notes = [], []
+        said = self._said if until >= 0 else []
+        report = RelayReport(until, fates, said, placed, self._notes, self._watched)
+        self._said, self._notes, self._watched = [], [], []
         self._outgoing.put(msgspec.msgpack.encode(report))
         while self._outgoing.qsize() > _BEHIND:
             self._sender.join(0.01)
@@ -373,7 +473,7 @@ class RelayProcess:
             "late": self._relay.late.to_values(),
             "came": self._came.to_values(),
         }
-        self._end_with(RelayReport(end, fates, self._said, [], self._notes, closing))
+        self._end_with(RelayReport(end, fates, self._said, [], self._notes, self._watched, closing))
 
     def _sum_up(self) -> None:
         """Notes about the whole run: who was slow, what stayed with its robot, what found no room."""
@@ -431,7 +531,7 @@ class RelayProcess:
         with suppress(OSError):  # closed at the end
             while True:
                 payload, sender = listening.recvfrom(LONGEST_DATAGRAM.bytes)
-                name = partial(Unfit, DATAGRAM, f"udp/{port.port}", len(payload), port.dst)
+                name = partial(Unfit, DATAGRAM, f"{_UDP}{port.port}", len(payload), port.dst)
                 inlet.offer(_Datagram(port, monotonic_ns(), payload, sender), len(payload), name)
 
     def _close(self) -> None:

@@ -6,6 +6,7 @@ can name a message that arrives at the very tick of the failure.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import isfinite
 
@@ -20,6 +21,8 @@ from fleet.logs.payload_kinds import STATE, kind_of
 from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.result.verdict import LastMessage, Moment, Verdict
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.node_names import named
+from fleet.scenario.sections.node_signals import node_signals
 from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, VehicleSignals
 from fleet.scenario.sections.timeline import Event
@@ -112,8 +115,17 @@ class OwnChecks:
             moment = self._moments.get(check.name)
             verdict = check.verdict(moment, self._now, over=over)
             more = "" if moment is None or verdict.reached is not None else f"; {moment.words}"
-            found.append(replace(verdict, found=verdict.found + more))
+            found.append(replace(verdict, found=self._named(verdict.found + more)))
         return found
+
+    def _named(self, text: str) -> str:
+        """Words about vehicles with the names of nodes, if the scenario has some."""
+        if not self._scenario.nodes:
+            return text
+        text = re.sub(
+            r"\bvehicles? (\d+(?:(?:, | and )\d+)*)", lambda found: named(found[1], self._scenario.nodes), text
+        )
+        return re.sub(r"\b\d+->\d+\b", lambda found: named(found[0], self._scenario.nodes), text)
 
     def _judge(self) -> None:
         values, self._pending = self._pending, None
@@ -157,6 +169,8 @@ def due_groups(scenario: Scenario, tick: int) -> frozenset[str]:
 
 def reported(scenario: Scenario, i: int) -> VehicleSignals:
     """The signals of vehicle i in a log; of laws and plants that may not run they are unknown here."""
+    if scenario.nodes:
+        return node_signals(scenario.spec, i)
     try:
         laws = scenario.layout(i)
     except PluginError:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from math import inf, isnan
+from math import inf, isnan, nan
 
 from fleet.checks.api import Failure, Margin
 from fleet.checks.values import TickValues
@@ -60,6 +60,8 @@ class RunningSignalCheck:
         self._places = [
             (i, place.values) for i in asked.vehicles if (place := vehicles[i].get(asked.signal.name)) is not None
         ]
+        # NaN is nothing to report. But a program of others that runs and has said nothing has failed, and not passed.
+        self._must_speak = bool(scenario.nodes) and not asked.sometimes
         self._safety = _Safety(asked, scenario.tick_ns, self._every) if asked.within_ns is None else None
         self._liveness = None if self._safety else _Liveness(asked, scenario, self._after)
 
@@ -76,7 +78,7 @@ class RunningSignalCheck:
         for i, place in self._places:
             some = values.values(i, signal.group)[place]
             value = signal.value(some) if some else None
-            found.append((i, None if value is None or isnan(value) else value))  # NaN: nothing to report
+            found.append((i, None if value is None or (isnan(value) and not self._must_speak) else value))
         numbers = found if self._asked.condition.over == "each" else None
         there = [(i, value) for i, value in found if value is not None]
         judge = self._safety or self._liveness
@@ -119,6 +121,8 @@ class RunningSignalCheck:
 
 def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[Unit, float | None]:
     """The number of the fleet, and the vehicles that make it."""
+    if silent := tuple(i for i, value in there if isnan(value)):
+        return silent, nan
     if asked.condition.over == "true":
         true = tuple(i for i, value in there if value)
         return true, float(len(true)) if there else None
@@ -150,16 +154,17 @@ class _Safety:
         asked = self._asked
         condition, each, failed = asked.condition, asked.condition.over == "each", list[int]()
         values: list[float] = []
-        self._margin.step(tick, numbers if each else [(_FLEET, value) for _, value in numbers])
+        told = [(unit if each else _FLEET, None if value is None or isnan(value) else value) for unit, value in numbers]
+        self._margin.step(tick, told)
         for unit, value in numbers:
             key = unit if each else _FLEET
             if value is None:
                 self._since.pop(key, None)
                 continue
-            bad = self._badness(value)
+            bad = inf if isnan(value) else self._badness(value)
             if self._worst is None or bad > self._worst[0]:
                 self._worst = bad, value, unit, tick
-            if condition.holds(value) != asked.negated:
+            if not isnan(value) and condition.holds(value) != asked.negated:
                 self._since.pop(key, None)
                 continue
             since = self._since.setdefault(key, tick)
@@ -222,6 +227,8 @@ class _Safety:
 
     def _show(self, value: float) -> str:
         over = self._asked.condition.over
+        if isnan(value):
+            return "no value yet"
         if over == "true":
             return f"{value:g} true"
         return f"{value:.4g}{'' if self._asked.unit == '1' else f' {self._asked.unit}'}{' apart' * (over == 'spread')}"
@@ -267,7 +274,8 @@ class _Liveness:
     def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> Unit | None:
         begin, asked = self._begin, self._asked
         each, late, failed = asked.condition.over == "each", False, list[int]()
-        self._distance.step(tick, numbers if each else [(_FLEET, value) for _, value in numbers])
+        told = [(unit if each else _FLEET, None if value is None or isnan(value) else value) for unit, value in numbers]
+        self._distance.step(tick, told)
         if begin is None:
             return None
         assert asked.within_ns is not None

@@ -203,7 +203,7 @@ def _serve(run: _Run) -> None:
 
 
 def _judge(run: _Run) -> None:
-    more, result = [], run.result
+    more, result = [*run.runner.closing.verdicts], run.result
     timing = run.runner.closing.timing
     if run.scenario.nodes:
         if "late" in timing:

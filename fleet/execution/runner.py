@@ -13,6 +13,7 @@ from fleet.execution.clock import GrantPolicy
 from fleet.execution.directory import RunDirectory
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
+from fleet.result.verdict import Verdict
 from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario
 from netem.condition import Link
@@ -27,6 +28,8 @@ class Closing:
     entered: dict[Link, tuple[int, int]] = field(default_factory=dict)  # packets sent on each link, and duplicates
     rejected: dict[str, int] = field(default_factory=dict)  # by key, messages that were refused
     timing: dict[str, Any] = field(default_factory=dict)  # who was how late in a realtime run
+    verdicts: list[Verdict] = field(default_factory=list)  # of what only the runner sees, such as programs of others
+    cpu_s: float = 0.0  # CPU time of programs that are not ours
 
 
 class Runner(Protocol):

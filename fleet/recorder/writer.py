@@ -168,7 +168,9 @@ class LogWriter:
         """
         ids = range(1, self._scenario.vehicles + 1)
         if self._scenario.nodes:
-            return {"pose": dict.fromkeys(ids, pose_schema())}
+            told = {i: signals for i in ids if (signals := self._scenario.layout(i).control)}
+            schemas = {i: flat_schema(f"Of{i}Control", signal_columns(signals)) for i, signals in told.items()}
+            return {"pose": dict.fromkeys(ids, pose_schema())} | ({"control": schemas} if schemas else {})
         state = dict.fromkeys(ids, flat_schema("State", STATE))
         if plants:
             state |= dict.fromkeys(plants, flat_schema("StateWithRoll", STATE + ROLL))

@@ -23,6 +23,7 @@ from fleet.scenario.sections.formation import initial_rolls
 from fleet.scenario.sections.log_rates import log_every
 from fleet.scenario.sections.modem_files import shipped_modems
 from fleet.scenario.sections.navigation import inlined_navigation
+from fleet.scenario.sections.node_signals import node_layout
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
 from fleet.scenario.sections.signals import BeliefKind
 from fleet.scenario.sections.triggers import trigger_lines
@@ -180,6 +181,8 @@ class Scenario:
 
     def layout(self, i: int) -> SignalLayout:
         """The signals of agent i. Raises PluginError: one of its laws cannot be used."""
+        if i not in self._layouts and self.nodes:
+            self._layouts[i] = node_layout(self.spec, i)
         if i not in self._layouts:  # one by one: another agent's laws may be such as must not be imported
             self._layouts[i] = layout(self.agent_config(i))
         return self._layouts[i]
@@ -305,8 +308,14 @@ def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
     if traced:
         inside = {n: s.model_copy(update={"trace": parts.traces(s.trace or "").text()}) for n, s in traced.items()}
         network = network.model_copy(update={"links": network.links | inside})
+    programs = spec.programs and {
+        key: section.model_copy(update={"folder": str(Path(folder or "", section.folder or "").resolve())})
+        for key, section in spec.programs.items()
+    }
+    compose = spec.compose and str(Path(folder or "", spec.compose).resolve())
     changes = {"vehicle": in_numbers(spec.vehicle), "navigation": inlined_navigation(spec.navigation, folder)}
-    return spec.model_copy(update=changes | {"per_vehicle": per_vehicle, "network": network})
+    more = {"per_vehicle": per_vehicle, "network": network, "programs": programs, "compose": compose}
+    return spec.model_copy(update=changes | more)
 
 
 def _difference(a: Offset, b: Offset) -> Offset:

@@ -18,7 +18,7 @@ from netem.files import read_file
 from netem.limits import TRUSTED
 from netem.whole_file import write_whole
 from world.plugins.loading import admit
-from world.plugins.trust import Permission, own_folders
+from world.plugins.trust import Permission, own_folders, permit_command
 
 A_LOG = "a log names it"
 
@@ -50,6 +50,10 @@ class Policy:
         if typed and self.typed:
             own = (Path(), *own)
         admit(kind, name, Permission(own, (*beside, Path()), self.stranger or "the scenario is not beside it"))
+
+    def admit_program(self, name: str, command: str, folder: str) -> None:
+        """Let a program of a node be started if the user asked for it. Raises UntrustedError: it may not run."""
+        permit_command(name, command, folder, Permission(self.own, because=self.stranger) if self.stranger else None)
 
 
 READING = Policy(imports=False)

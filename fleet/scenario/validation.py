@@ -19,7 +19,18 @@ from pydantic_core import ErrorDetails
 from fleet.errors import Problem
 from fleet.quantities import describe_value
 from fleet.scenario.parts import Parts, UnknownValueError
-from fleet.scenario.rules import checks, faults, laws, link_conditions, motion, navigation, network, nodes, periods
+from fleet.scenario.rules import (
+    checks,
+    faults,
+    laws,
+    link_conditions,
+    motion,
+    navigation,
+    network,
+    nodes,
+    periods,
+    programs,
+)
 from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
@@ -73,6 +84,8 @@ RULES: tuple[Callable[[Parts, Report], None], ...] = (
     network.talking,
     nodes.nodes,
     nodes.contents,
+    programs.programs,
+    programs.signals,
     laws.per_vehicle,
     motion.moored,
     navigation.navigation,

@@ -18,6 +18,7 @@ from threading import current_thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
+import psutil
 import zenoh
 
 from netem.errors import BusError
@@ -29,6 +30,7 @@ from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, cli
 log = logging.getLogger(__name__)
 
 ROS_TOKENS = "@ros2_lv"
+ANY_PORT = ":0"  # what an address ends with whose port the system chooses
 _ASK_S = 86_400.0  # the asker has a time-out of its own; the result of a ROS 2 action may take long
 _REMOTE = zenoh.Locality.REMOTE
 
@@ -146,7 +148,10 @@ class Robot:
         self.matched: set[int] = set()  # the numbers of the expressions of `carry` that something came on
         self.placed: deque[tuple[str, bytes]] = deque(maxlen=1)  # key and message that say last where it is
         self._inlet, self._put = inlet, inlet.put
+        before = _listened() if access.listen.endswith(ANY_PORT) else None
         self._session = _opened(access)
+        # zenoh tells nobody which port the system gave it.
+        self.port = None if before is None else next(iter(_listened() - before), None)
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
@@ -168,7 +173,27 @@ class Robot:
             tokens = session.liveliness().declare_subscriber(text, direct(self._announced), history=True)
             self._held.append(tokens)
 
-    def watch(self, topic: str) -> None:
+    def watch(self, key: str, see: Callable[[str, bytes], None], *, token: bool = False) -> None:
+        """Listen to a key expression, whether the network carries it or not.
+
+        Args:
+            key: the key expression.
+            see: gets the key and the payload of each, on a thread of zenoh.
+            token: listen to liveliness tokens that appear, in place of messages.
+        """
+        if token:
+
+            def appeared(sample: Any) -> None:
+                if sample.kind == zenoh.SampleKind.PUT:
+                    see(str(sample.key_expr), b"")
+
+            tokens = self._session.liveliness().declare_subscriber(key, _direct(appeared), history=True)
+            self._held.append(tokens)
+            return
+        heard = _direct(lambda sample: see(str(sample.key_expr), sample.payload.to_bytes()))
+        self._held.append(self._session.declare_subscriber(key, heard, allowed_origin=_REMOTE))
+
+    def follow(self, topic: str) -> None:
         """Listen to the topic that says where the robot is, whether the network carries it or not."""
         for key in (topic, f"*/{topic}/**"):
             placed = _direct(lambda s: self.placed.append((str(s.key_expr), s.payload.to_bytes())))
@@ -401,6 +426,11 @@ def _service(token: str) -> str:
 def _direct(handler: Callable[[Any], None]) -> Any:
     """A handler that zenoh calls itself, without a thread in between."""
     return zenoh.handlers.Callback(handler, indirect=False)
+
+
+def _listened() -> set[int]:
+    """The ports of TCP that this process listens on."""
+    return {one.laddr.port for one in psutil.Process().net_connections("tcp") if one.status == psutil.CONN_LISTEN}
 
 
 def _opened(access: RobotEndpoint) -> zenoh.Session:

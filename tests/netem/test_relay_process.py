@@ -38,6 +38,7 @@ class Robot:
     goes = Event()
 
     def __init__(self, access: RobotEndpoint, carry: tuple[str, ...], inlet: Inlet) -> None:
+        self.port = None
         self.number, self.name, self.outlet = access.number, access.name, Outlet()
         self.stayed: Counter[str] = Counter()
         self.matched = {0}

@@ -145,6 +145,28 @@ def permit_file(kind: str, name: str, file: str, permission: Permission) -> None
     _files[name] = _files[f"{name.partition(':')[0]}:{path}"] = path  # agents get the name with the whole path
 
 
+def permit_command(name: str, command: str, folder: str, permission: Permission | None) -> None:
+    """Allow a program to be started, if the user asked for it.
+
+    Args:
+        name: of the program, for the message.
+        command: its command line, for the message.
+        folder: where it runs, absolute.
+        permission: says whose folders may run programs; None: the scenario is the user's own, which may run any.
+
+    Raises:
+        UntrustedError: nobody allowed it.
+    """
+    if permission is None or folder in map(os.path.realpath, permission.own):
+        _own[folder] = None
+        return
+    trust = _held.get()
+    if not trust.everything:
+        problem = f"would run {command} in {folder}, and {permission.because}"
+        raise UntrustedError("program", name, problem, "read it first; --trust runs it")
+    trust.notify(f"program {name} runs {command} in {folder}, as --trust allows")
+
+
 def permitted_file(kind: str, name: str) -> Path:
     """Where a plug-in lies that `permit_file` let run. Raises UntrustedError: none did."""
     if name not in _files:

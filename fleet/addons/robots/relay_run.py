@@ -19,6 +19,7 @@ import msgpack
 import msgspec
 
 from fleet.addons.robots.message_log import MessageLog, place_of
+from fleet.addons.robots.programs import Programs
 from fleet.analysis.robot_addresses import lines
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
@@ -26,29 +27,32 @@ from fleet.execution.directory import RunDirectory
 from fleet.execution.operator import Operator
 from fleet.execution.runner import Closing
 from fleet.processes.children import Children, Exit, describe_exit
-from fleet.processes.ports import free_port
 from fleet.processes.run_folder import RunFolder
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.scenario.faults.kind import Kill
-from fleet.scenario.scenario import Scenario
+from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
 from netem import relay_process
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
-from netem.relay_process import MOST_NOTES, Port, RelayReport, Setup
+from netem.relay_process import MOST_NOTES, Opened, Port, RelayReport, Setup, Watched
 from netem.wire.bus import Bus
+from netem.wire.codec import encode
 from netem.wire.control import read_map
 from netem.wire.credentials import CONSOLE, OPERATOR, generate
 from netem.wire.keys import Keys
-from netem.wire.messages import Frame, LinkReport, VehicleFrame, WorldFault
-from netem.wire.robots import RobotEndpoint
+from netem.wire.messages import Command, Frame, Life, LinkReport, VehicleFrame, WorldFault
+from netem.wire.robots import ANY_PORT, RobotEndpoint
 from netem.wire.session import quiet_zenoh
 
 RELAY = "relay"
 OPEN_S = 20.0  # for sessions that wait for a router of others
 CLOSE_S = 10.0
 POLL_S = 0.05
+PROMPT_S = 0.005
+_FREE = f"tcp/127.0.0.1{ANY_PORT}"
+STILL = (0.0, 0.0, 0.0)  # the force and moments of a robot whose motion nobody measures
 GONE_S = 2.0  # until the end of a process is known whose pipe has closed
 PING_S = 0.1
 BEHIND_S = 1.0  # with its reports, and so with messages: the status line says so
@@ -56,9 +60,19 @@ LEAD_NS = 20_000_000  # a fault that is injected begins so much later, so that t
 LOST_AFTER_NS = 10_000_000_000
 
 
-def setup_of(scenario: Scenario, folder: Path | None, found: Mapping[str, str] = MappingProxyType({})) -> Setup:
-    """The settings of the relay of a scenario with nodes. `folder`: where a node's file of zenoh is looked for.
-    `found`: the addresses of nodes that say none.
+def setup_of(
+    scenario: Scenario,
+    folder: Path | None,
+    found: Mapping[str, str] = MappingProxyType({}),
+    watched: Sequence[Watched] = (),
+) -> Setup:
+    """The settings of the relay of a scenario with nodes.
+
+    Args:
+        scenario: the scenario.
+        folder: where a node's file of zenoh is looked for.
+        found: the addresses of nodes that say none.
+        watched: what the console wants to know of robots.
     """
     spec, here = scenario.spec, folder or Path()
     nodes = list(enumerate((spec.nodes or {}).values(), start=1))
@@ -90,6 +104,7 @@ def setup_of(scenario: Scenario, folder: Path | None, found: Mapping[str, str] =
         payloads=bool(spec.log.payloads),
         linked=spec.discovery == "linked",
         lost_after_ns=spec.lost_after or LOST_AFTER_NS,
+        watched=tuple(watched),
         ticks=scenario.ticks,
     )
 
@@ -115,6 +130,11 @@ class RelayRun:
         self._requests: SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = SimpleQueue()
         self._pipe, self._theirs = Pipe()
         self._begin_ns = 0
+        self._ended = False
+        self._until = -1  # the relay has told everything up to this tick
+        self._programs = Programs(scenario, directory.path, print_line)
+        self._planned: Sequence[Any] = ()  # the faults that the programs know
+        self._every = frame_every(scenario)
         self._found: dict[str, str] = {}  # by node that says none: the address where its programs meet us
         self._places = {i: (*plan.start, 0.0, 0.0) for i, plan in enumerate(scenario.plans, start=1)}
         self.started_s, self.middleware_lost = 0.0, 0
@@ -133,9 +153,8 @@ class RelayRun:
         try:
             self._start(progress)
             bus = self._admit(folder)
+            self._begin(progress)
             self.started_s = time.monotonic() - began
-            self._begin_ns = monotonic_ns() + LEAD_NS
-            self._tell(op="begin", at_ns=self._begin_ns)
             operator = Operator(self._scenario, self._journal, LiveClock(policy, time.monotonic()), self)
             try:
                 self._record(operator, progress)
@@ -143,6 +162,8 @@ class RelayRun:
                 self._tell(op="close")
             self._take_rest(progress)
         finally:
+            self._programs.close()
+            self.closing.cpu_s = self._programs.cpu_s
             self._children.stop()
             if bus is not None:  # an open session would keep this process from ending
                 bus.close()
@@ -151,8 +172,8 @@ class RelayRun:
 
     def _start(self, progress: Callable[[], None]) -> None:
         free = without_address(self._scenario.spec.nodes or {})
-        self._found = {name: f"tcp/127.0.0.1:{free_port(None)}" for name in free}
-        setup = setup_of(self._scenario, self._scenario.reading.folder, self._found)
+        self._found = dict.fromkeys(free, _FREE)
+        setup = setup_of(self._scenario, self._scenario.reading.folder, self._found, self._programs.watched)
         title = f"fleet {RELAY} [{self._scenario.name}]"
         log = self._directory.process_log(RELAY)
         self.waiting = "opening the sessions of the nodes"
@@ -166,11 +187,46 @@ class RelayRun:
             if time.monotonic() > deadline:
                 raise RunBroken(f"the relay did not begin within {OPEN_S:g} s")
             self._explain_exit()
-        if problem := self._received().decode():
-            raise RunBroken(problem)
+        opened = msgspec.msgpack.decode(self._received(), type=Opened)
+        if opened.problem:
+            raise RunBroken(opened.problem)
+        ports = {self._scenario.nodes[i - 1]: port for i, port in opened.ports.items()}
+        self._found = {name: f"{_FREE.removesuffix(ANY_PORT)}:{ports[name]}" for name in self._found}
         self.waiting = ""
+        having = {state.node for state in self._programs.states.values()}
         for line in lines(self._scenario, self._found):  # not before: a program that comes too early is refused
-            self._print(line)
+            if self._scenario.nodes.index(line.split()[0]) + 1 not in having:  # the others are started with it
+                self._print(line)
+
+    def _begin(self, progress: Callable[[], None]) -> None:
+        """Fix when tick 0 begins: at once, or when all programs are ready. Raises RunBroken: one is not ready."""
+        programs = self._programs
+        if not programs.states:
+            self._begin_ns = programs.begins(LEAD_NS)
+            self._tell(op="begin", at_ns=self._begin_ns)
+            return
+        self._tell(op="rehearse", at_ns=None)
+        programs.start(self._addresses)
+        while True:
+            programs.hear()
+            if not (unready := programs.unready()):
+                break
+            shown = ", ".join(unready[:8]) + (f" and {len(unready) - 8} more" if len(unready) > 8 else "")
+            self.waiting = f"waiting for {shown} to be ready"
+            if self._pipe.poll(POLL_S):
+                self._take()
+            self._explain_exit()
+            progress()
+        self.waiting = ""
+        self._begin_ns = programs.begins(LEAD_NS)
+        self._tell(op="begin", at_ns=self._begin_ns)
+
+    @property
+    def _addresses(self) -> dict[str, str]:
+        """Where programs meet us, by node."""
+        nodes = (self._scenario.spec.nodes or {}).items()
+        found = {name: node.listen or node.connect or self._found.get(name, "") for name, node in nodes}
+        return {name: address for name, address in found.items() if address}
 
     def _admit(self, folder: RunFolder) -> Bus:
         """Let commands reach this run, as those of vehicles."""
@@ -179,11 +235,8 @@ class RelayRun:
         bus = Bus.host(folder.endpoint, self._keys, (), credentials, folder.path)
         bus.answer(f"{self._keys.op}/*", lambda _, data, respond: self._requests.put((data, respond)))
         bus.token(self._keys.alive(CONSOLE))
-        nodes = (self._scenario.spec.nodes or {}).items()
-        addresses = {name: node.listen or node.connect or self._found.get(name, "") for name, node in nodes}
         reached = {"endpoint": folder.endpoint, "run": self._keys.run, "scenario": self._scenario.name}
-        told = {name: address for name, address in addresses.items() if address}
-        own = {"pid": os.getpid(), "nodes": told, **credentials[OPERATOR].to_values()}
+        own = {"pid": os.getpid(), "nodes": self._addresses, **credentials[OPERATOR].to_values()}
         self._directory.write_connection({**reached, **own})
         return bus
 
@@ -191,6 +244,9 @@ class RelayRun:
         pinged = 0.0
         while self._taken(progress):
             self._answer(operator)
+            if operator.faults is not self._planned:
+                self._planned = operator.faults
+                self._programs.plan(self._planned, self._scenario.tick_ns)
             if operator.stopping:
                 self._tell(op="close")
                 return
@@ -207,7 +263,10 @@ class RelayRun:
     def _taken(self, progress: Callable[[], None]) -> bool:
         """Record a report if there is one. Returns whether more will come."""
         if self._journal.complete or (self._pipe.poll(POLL_S) and self._take()):
+            self._end_programs(progress)
             return False
+        self._programs.hear()
+        self._frames()
         behind_s = (monotonic_ns() - self._begin_ns - self._journal.reported * self._scenario.tick_ns) / 1e9
         self.waiting = f"the relay is behind, by {behind_s:.1f} s" if behind_s > BEHIND_S else ""
         self._explain_exit()
@@ -231,6 +290,9 @@ class RelayRun:
         if report.closing is not None and "error" in report.closing:
             raise RunBroken(report.closing["error"])
         self._place(report)
+        self._programs.see(report.watched)
+        if report.until < 0:
+            return False
         for said in report.said:
             self._messages.write(said)
         end, until, m = report.closing, report.until, self._scenario.round_ticks
@@ -245,23 +307,61 @@ class RelayRun:
                 some.append(fate)
                 fate = next(fates, None)
             self._journal.links(LinkReport(tick, False, False, tuple(some)))
-            self._frame(tick)
+        self._until = until
         if end is None:
+            self._frames()
             return False
         rest = tuple(fates) if fate is None else (fate, *fates)
         self._journal.links(LinkReport(until, True, False, rest))
-        self._frame(until)
         entered = {(src, dst): (sent, copies) for src, dst, sent, copies in end["entered"]}
         self.closing = Closing(entered=entered, timing={"late": end["late"], "came": end["came"]})
         return True
 
-    def _frame(self, tick: int) -> None:
-        if tick == self._journal.framed:
+    def _end_programs(self, progress: Callable[[], None]) -> None:
+        """The relay has told everything: wait until the programs have told what they did until then, and stop them."""
+        if self._ended:
             return
-        rows = tuple(
-            VehicleFrame(i, place, (0.0,) * 5, (), (), b"", (), (), (), ()) for i, place in self._places.items()
+        self._ended = True
+        programs, end_ns = self._programs, self._begin_ns + self._until * self._scenario.tick_ns
+        programs.ends_at(end_ns)
+        deadline = time.monotonic() + CLOSE_S
+        while programs.known_ns < end_ns and time.monotonic() < deadline:
+            programs.hear()
+            self._frames()
+            progress()
+            time.sleep(PROMPT_S)
+        self._frames(whole=True)
+        if (verdict := programs.verdict()) is not None:
+            self.closing.verdicts.append(verdict)
+        self.deaths = programs.deaths()
+
+    def _frames(self, *, whole: bool = False) -> None:
+        """Write the frames up to where relay and programs have told everything. `whole`: up to the end of the run."""
+        tick_ns, framed = self._scenario.tick_ns, self._journal.framed
+        until = self._until
+        if not whole:
+            until = min(until, (self._programs.known_ns - self._begin_ns) // tick_ns)
+        tick = 0 if framed < 0 else framed + self._every
+        while tick <= until:
+            self._frame(tick)
+            tick += self._every
+        if whole and self._journal.framed < until:
+            self._frame(until)
+
+    def _frame(self, tick: int) -> None:
+        programs, tick_ns = self._programs, self._scenario.tick_ns
+        programs.advance(self._begin_ns + tick * tick_ns)
+        rows = []
+        for i, place in self._places.items():
+            told = programs.values(i) if self._scenario.spec.signals else None
+            command = b"" if told is None else encode(Command(0, tick, STILL, told))
+            rows.append(VehicleFrame(i, place, (0.0,) * 5, (), STILL if command else (), command, (), (), (), ()))
+        lives = tuple(
+            Life(min(tick, max(0, -(-(at_ns - self._begin_ns) // tick_ns))), node, begins, False)
+            for at_ns, node, begins in programs.said
         )
-        self._journal.frame(Frame(tick, False, (), (), rows))
+        programs.said.clear()
+        self._journal.frame(Frame(tick, False, lives, (), tuple(rows)))
 
     def _place(self, report: RelayReport) -> None:
         moved = {}
@@ -306,16 +406,17 @@ class RelayRun:
         return True
 
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
-        """There are none: the operator refuses them."""
+        """The programs get their pauses with the plan of all faults; the operator refuses the rest."""
 
     def without_agent(self) -> list[int]:
-        return []
+        return self._programs.gone
 
     def end_agents(self, kill: Kill) -> None:
-        """Nobody's: the operator refuses it."""
+        """The programs get it with the plan of all faults."""
 
     def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
-        """Nobody's."""
+        if begin is None:
+            self._programs.again(i)
 
     # --- the process
 

@@ -18,6 +18,7 @@ from fleet.scenario.rules.plugins import plugin
 from fleet.scenario.rules.report import LINKS_SHOWN, Report, vehicles_exist, whole_multiple
 from fleet.scenario.schema.checks import CHECK_NAME, EVERY, OF_THE_SCHEMA
 from fleet.scenario.schema.faults import ACTIONS
+from fleet.scenario.sections.node_signals import node_signals
 from fleet.scenario.sections.python_checks import load_check, parameters_of
 from fleet.scenario.sections.signal_checks import SignalCheckError, ask, of_a_plugin
 from fleet.scenario.sections.signals import BeliefKind, SignalPlace, VehicleSignals
@@ -161,6 +162,8 @@ def triggers(parts: Parts, report: Report) -> None:
 
 def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, SignalPlace]] | None:
     """The signals of every vehicle; None: they are not known, because a law is wrong or must not be imported."""
+    if parts.spec.nodes is not None:
+        return {i: node_signals(parts.spec, i).places() for i in range(1, parts.spec.vehicles + 1)}
     try:
         controls = parts.controls
         running = ((kind, law) for control in controls for kind, law in laws(control).items())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.util import find_spec
 
 from fleet.scenario.faults.kinds import OF_ROBOTS
@@ -9,11 +10,13 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.nemesis import CONDITIONS
 from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
+from fleet.scenario.schema.programs import programs_of
+from fleet.scenario.schema.spec import ScenarioSpec
 from netem.parsing import nearest
 
 _OF_NODES = ("carry", "discovery", "lost_after", "header", "fragments")
-_CHECKS = frozenset({"max_age", "connected", "ledger", "middleware_loss", "punctual", "python"})
-_DRAWN = {*OF_ROBOTS, *CONDITIONS}
+_CHECKS = frozenset({"max_age", "connected", "ledger", "middleware_loss", "punctual", "programs", "signal", "python"})
+_OF_PROGRAMS = ("kill", "pause")  # faults of programs that the run starts
 
 
 def nodes(parts: Parts, report: Report) -> None:
@@ -52,21 +55,36 @@ def contents(parts: Parts, report: Report) -> None:
     spec = parts.spec
     if spec.nodes is None:
         return
+    possible = {*OF_ROBOTS, *(_OF_PROGRAMS if spec.programs else ())}
+    drawn = {*possible, *CONDITIONS}
     for number, fault in enumerate(spec.faults):
-        if (kind := fault.kind.name) not in OF_ROBOTS:
-            known = f"known: {', '.join(sorted(OF_ROBOTS))}"
-            report.add(("faults", number), f"{kind} concerns vehicles of ours", known)
+        if (kind := fault.kind.name) not in possible:
+            known = f"known: {', '.join(sorted(possible))}"
+            report.add(("faults", number), f"{kind} {_concerns(kind)}", known)
+        elif kind in _OF_PROGRAMS and (without := _without_program(spec, fault.kind.vehicles(fault.values))):
+            report.add(("faults", number), f"{without} has no program that the run starts", "programs: {NODE: ...}")
     if spec.nemesis is not None:
         for number, pick in enumerate(spec.nemesis.pick or ()):
-            if (pick.drawn or pick.kind.name) not in _DRAWN:
-                known = f"known: {', '.join(sorted(_DRAWN))}"
-                report.add(("nemesis", "pick", number), "concerns vehicles of ours", known)
-        if spec.nemesis.pick is None:
-            report.add_missing(("nemesis",), "pick", f": which of {', '.join(sorted(_DRAWN))} may come")
+            if (kind := pick.drawn or pick.kind.name) not in drawn:
+                known = f"known: {', '.join(sorted(drawn))}"
+                report.add(("nemesis", "pick", number), _concerns(kind), known)
+        if spec.nemesis.pick is None and spec.nemesis.mode != "episodes":
+            report.add_missing(("nemesis",), "pick", f": which of {', '.join(sorted(drawn))} may come")
     for key in report.keys("checks"):
         if ":" not in key and key not in _CHECKS:
             known = f"known: {', '.join(sorted(_CHECKS - {'python'}))}"
             report.add(("checks", key), "judges vehicles of ours", known, key=True)
+
+
+def _concerns(kind: str) -> str:
+    return "concerns vehicles of ours" + (" and programs that the run starts" if kind in _OF_PROGRAMS else "")
+
+
+def _without_program(spec: ScenarioSpec, vehicles: Sequence[int]) -> str:
+    """The first of some nodes that has no program, or an empty text."""
+    nodes = list(spec.nodes or ())
+    having = {node for _, node, _ in programs_of(spec.programs or {}, nodes)}
+    return next((nodes[i - 1] for i in vehicles if 0 < i <= len(nodes) and nodes[i - 1] not in having), "")
 
 
 def _addresses(parts: Parts, report: Report) -> None:

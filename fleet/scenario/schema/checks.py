@@ -17,6 +17,7 @@ from pydantic import (
 
 from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
+from fleet.scenario.schema.programs import ProgramsCheck
 from fleet.scenario.value_types import Section, mistake
 from world.plugins.loading import CHECKS, installed
 
@@ -214,6 +215,7 @@ class ChecksSection(Section):
     ledger: Literal["balanced"] | None = None
     middleware_loss: AtMost | None = None
     punctual: PunctualCheck | None = None  # nodes: on by default
+    programs: ProgramsCheck | None = None  # of nodes: that they run, or end well; on by default
     signal: Annotated[list[SignalCheck] | None, BeforeValidator(_listed), PlainSerializer(_show_signals)] = None
     python: Annotated[dict[str, Instances] | None, Field(alias=PYTHON)] = None
 

@@ -43,6 +43,7 @@ from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
 from fleet.scenario.schema.nodes import Flag, Node, NodeName
+from fleet.scenario.schema.programs import ProgramKey, ProgramSection, StackSignalSection
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from fleet.scenario.value_types import Section, mistake, word_for
 from netem.parsing import nearest
@@ -75,6 +76,9 @@ class LogSection(Section):
     transforms: v.TicksOrNever | None = None  # for all vehicles together; default: about 10 Hz; 0 ticks: never
     scene: v.TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
     snapshot: v.Time | None = None  # has no effect; versions up to 1.0 wrote snapshots into the log
+
+
+SignalKey = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")]
 
 
 def _read_log(value: Any) -> Any:
@@ -117,6 +121,10 @@ class ScenarioSpec(Section):
     group: Annotated[Group | None, AfterValidator(lambda _: None), Field(exclude=True)] = None
     # Robots that are not ours, in place of vehicles; `fleet netem` serves them.
     nodes: Annotated[dict[NodeName, Node], Field(min_length=2)] | None = None
+    programs: dict[ProgramKey, ProgramSection] | None = None  # of nodes: started and stopped with the run
+    compose: str | None = None  # a compose file that is up during the run
+    begin: v.Time | None = None  # from the time at which all programs are ready to t = 0; 0 s
+    signals: dict[SignalKey, StackSignalSection] | None = None  # numbers that programs tell
     carry: list[str] | None = None  # zenoh's key expressions of what the network carries; everything
     discovery: Literal["ideal", "linked"] | None = None  # linked: tokens need a link, too
     lost_after: v.Period | None = None  # linked: time without a link after which they are withdrawn; 10 s

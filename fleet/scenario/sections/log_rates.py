@@ -6,6 +6,7 @@ from math import gcd, lcm
 
 from fleet.scenario.schema.spec import ScenarioSpec, sections
 from fleet.scenario.sections.clocks import clock_sections
+from fleet.scenario.sections.node_signals import PERIOD_NS
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION, OF_THE_CLOCK, OF_THE_PLANT
 
 LOG_GROUPS = ("pose", "state", "nav", "command", "guidance", "control", "error")
@@ -22,7 +23,8 @@ def log_every(spec: ScenarioSpec) -> dict[str, int]:
     """Ticks between two records of each topic group; 0 for never."""
     if spec.nodes is not None:
         a_round = spec.network.period // spec.tick
-        return {"pose": a_round} | {group: getattr(spec.log, group) or a_round for group in DRAWN_GROUPS}
+        told = {"control": max(1, gcd(PERIOD_NS // spec.tick, a_round))} if spec.signals else {}
+        return {"pose": a_round} | told | {group: getattr(spec.log, group) or a_round for group in DRAWN_GROUPS}
     agents = [agent for _, agent in sections(spec, "agent") if agent is not None]
     some = {
         OF_THE_PLANT: any(vehicle.plant is not None for _, vehicle in sections(spec, "vehicle")),

@@ -158,10 +158,11 @@ class VehicleSignals(NamedTuple):
     plant: tuple[Signal, ...] | None = None  # what its plant reports; None: it has none
     has_clock: bool = False  # whether the clock of the vehicle is set
     belief: BeliefKind = BeliefKind.NONE  # what it believes of its place
+    measured: bool = True  # whether its motion and its command are in the log; those of others' robots are not
 
     def groups(self) -> dict[str, tuple[int, tuple[Signal, ...]]]:
         """By topic group where its values begin, and its signals."""
-        groups = {group: (0, signals) for group, signals in _ALWAYS.items()}
+        groups = {group: (0, signals) for group, signals in _ALWAYS.items()} if self.measured else {}
         if self.has_clock:
             groups[OF_THE_CLOCK] = 0, CLOCK
         if self.plant is not None:

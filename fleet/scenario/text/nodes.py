@@ -17,7 +17,8 @@ from fleet.scenario.sections.node_names import FREE, named_values, numbered
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, TextPlace
 
 KEYS = (
-    "name", "title", "nodes", "carry", "discovery", "lost_after", "header", "fragments", "duration", "tick", "seed",
+    "name", "title", "nodes", "programs", "compose", "begin", "signals", "carry", "discovery", "lost_after", "header",
+    "fragments", "duration", "tick", "seed",
     "graph", "network", "faults", "nemesis", "checks", "log", "expect", "group", "stall_timeout",
 )  # fmt: skip
 UNTIL_STOPPED_NS = 86_400 * 10**9
@@ -51,6 +52,8 @@ def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
             # Whom the check `connected` asks to reach.
             graph = graph.with_entry("reference", graph.place, _tree([1], graph.place))
         root = root.with_entry("graph", root.keys["graph"], graph)
+    if "checks" in root.entries:
+        root = root.with_entry("checks", root.keys["checks"], _of_signals(root.entries["checks"], root))
     network = root.entries.get("network")
     said = network.entries if isinstance(network, Mapping) else [network.value] if isinstance(network, Scalar) else ()
     for key, value in _added(nodes, water="acoustic" in said).items():
@@ -71,6 +74,23 @@ def still(root: Mapping) -> Mapping:
         if key not in root.entries:
             root = root.with_entry(key, moored.place, node)
     return root
+
+
+def _of_signals(checks: Node, root: Mapping) -> Node:
+    """The checks with whole names of signals: those of nodes are named alone."""
+    told = root.entries.get("signals")
+    if not (isinstance(checks, Mapping) and isinstance(told, Mapping) and "signal" in checks.entries):
+        return checks
+
+    def whole(node: Node) -> Node:
+        if isinstance(node, Items):
+            return Items(tuple(map(whole, node.items)), node.place)
+        topic = node.entries.get("topic") if isinstance(node, Mapping) else None
+        if isinstance(node, Mapping) and isinstance(topic, Scalar) and topic.value in told.entries:
+            return node.with_entry("topic", node.keys["topic"], Scalar(f"control.{topic.value}", topic.place))
+        return node
+
+    return checks.with_entry("signal", checks.keys["signal"], whole(checks.entries["signal"]))
 
 
 class _Expanded:

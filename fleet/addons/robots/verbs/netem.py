@@ -40,8 +40,9 @@ def netem(
 ) -> None:  # fmt: skip
     """Put the network of the file STACK between robots whose programs are yours, and judge what it carried.
 
-    Each node is a robot: its programs connect to an address of ours, or we join a router of theirs. Time is the wall
-    clock. Ctrl-C ends the run, prints the verdict and the table of links, and leaves a log.
+    Each node is a robot: its programs connect to an address of ours, or we join a router of theirs. What the section
+    `programs` names is started with the run, judged and stopped with it. Time is the wall clock. Ctrl-C ends the run,
+    prints the verdict and the table of links, and leaves a log.
 
     \b
     Examples:
@@ -50,6 +51,7 @@ def netem(
       fleet inject partition 'auv1 / auv2,shore' --for 30s
       fleet netem stack.yaml --view
     """
+    from fleet.addons.robots.programs import admit
     from fleet.addons.robots.relay_run import RelayRun
     from fleet.analysis.robot_addresses import warnings
     from fleet.processes.children import start_forkserver
@@ -63,6 +65,7 @@ def netem(
     if show_config:
         click.echo(scenario.to_yaml(), nl=False)
         return
+    admit(scenario)
     if not quiet:
         for text in warnings(scenario):
             say(f"warning: {text}", err=True)

@@ -1,0 +1,370 @@
+"""The process that keeps the programs of a stack: it starts, kills, pauses and stops them, and reads what they print.
+
+It is a script of its own, with Python's standard library alone: it starts in 30 ms, and takes no memory that a program
+could miss. The console writes lines of JSON into it, and it answers with such lines. When that pipe ends, the console
+is gone, also by SIGKILL: then every program ends, with all that it has started.
+
+It is no child of the fork server as the other processes of a run are. The kernel ends those at once with the console,
+and nobody would be left to end what a program such as `ros2 launch` has started.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import re
+import resource
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from time import monotonic_ns
+from typing import Any, TextIO
+
+MARK_NS = 20_000_000  # how often the console is told up to when it knows everything
+PORT_NS = 50_000_000  # how often a port is tried
+MOST_LINE = 65_536  # bytes; a longer line is cut
+MOST_LOG = 16 * 2**20  # bytes of one program that are kept; so it cannot fill the disk
+MOST_READ = 1 << 16
+TAIL = 12
+IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
+_LIBC = ctypes.CDLL(None)
+
+
+class Keeper:
+    """All programs of a run."""
+
+    def __init__(self, programs: list[dict[str, Any]]) -> None:
+        self.begin_ns: int | None = None  # tick 0
+        self.stopping = False
+        self._out = bytearray()
+        self._selector = selectors.DefaultSelector()
+        self._programs = [Program(self, values) for values in programs]
+        self._by_pid: dict[int, Program] = {}
+        self._commands = b""
+        self._marked_ns = 0
+        os.set_blocking(0, False)
+        os.set_blocking(1, False)
+        self._selector.register(0, selectors.EVENT_READ, self._hear)
+
+    def serve(self) -> None:
+        """Keep the programs until the console says stop, or is gone."""
+        try:
+            while not (self.stopping and all(program.process is None for program in self._programs)):
+                now = monotonic_ns()
+                due = min([now + MARK_NS, *(program.act(now) for program in self._programs)])
+                whole = self._look(max(0, due - monotonic_ns()))
+                if whole and now - self._marked_ns >= MARK_NS:
+                    self._marked_ns = now
+                    self.say(until=now)
+                self._reap()
+        except EOFError:
+            self._out.clear()
+        finally:
+            self._end_all()
+        used = [resource.getrusage(who) for who in (resource.RUSAGE_CHILDREN, resource.RUSAGE_SELF)]
+        self.say(cpu_s=sum(one.ru_utime + one.ru_stime for one in used))
+        os.set_blocking(1, True)
+        with suppress(OSError):
+            while self._out:
+                del self._out[: os.write(1, self._out)]
+
+    def say(self, **values: Any) -> None:
+        """Tell the console something. What does not fit into the pipe waits here, and holds up no program."""
+        self._out += json.dumps(values).encode() + b"\n"
+
+    def began(self, program: Program, output: int) -> None:
+        """Read what a program prints, and notice its end."""
+        self._by_pid[program.process.pid] = program
+        self._selector.register(output, selectors.EVENT_READ, program.read)
+
+    def closes(self, output: int) -> None:
+        self._selector.unregister(output)
+        os.close(output)
+
+    def _look(self, wait_ns: int) -> bool:
+        """Take what there is to read. Returns whether nothing is left."""
+        if self._out:
+            with suppress(BlockingIOError):
+                del self._out[: os.write(1, self._out)]
+        whole = True
+        for key, _ in self._selector.select(min(wait_ns, 10_000_000 if self._out else wait_ns) / 1e9):
+            whole = key.data() and whole
+        return whole
+
+    def _hear(self) -> bool:
+        data = os.read(0, MOST_READ)
+        if not data:
+            raise EOFError
+        *lines, self._commands = (self._commands + data).split(b"\n")
+        for line in lines:
+            self._obey(json.loads(line))
+        return True
+
+    def _obey(self, command: dict[str, Any]) -> None:
+        self.begin_ns = command.get("begin", self.begin_ns)
+        if command.get("stop"):
+            self.stopping = True
+        for program in self._programs:
+            program.plan(command, monotonic_ns())
+
+    def _reap(self) -> None:
+        with suppress(ChildProcessError):
+            while True:
+                pid, status = os.waitpid(-1, os.WNOHANG)
+                if not pid:
+                    return
+                if (program := self._by_pid.pop(pid, None)) is not None:
+                    program.has_ended(os.waitstatus_to_exitcode(status))
+
+    def _end_all(self) -> None:
+        """Kill everything that was started here, also what has left the session of its program."""
+        while pids := list(descendants([os.getpid()])):
+            for pid in pids:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            with suppress(ChildProcessError):
+                os.waitpid(-1, 0)
+
+
+class Program:
+    """One program, life after life."""
+
+    def __init__(self, keeper: Keeper, values: dict[str, Any]) -> None:
+        self._keeper, self._values = keeper, values
+        self.name, self._node = values["name"], values["node"]
+        self.process: Any = None
+        self._ready_ns: int | None = None  # when it became ready
+        self._started_ns = 0
+        self._over = False  # it has ended by itself
+        self._killed = self._paused = False
+        self._dead: list[list[int | None]] = []  # when it has to be gone: from and until [ns]; None: to the end
+        self._held: list[list[int | None]] = []  # when it has to be suspended
+        self._stop_ns: int | None = None  # when it is killed at the latest; None: it need not stop
+        self._line = b""
+        self._tail: deque[str] = deque(maxlen=TAIL)
+        self._log: TextIO | None = None
+        self._written = 0
+        self._counts = [0] * len(values["signals"])
+        self._output = -1
+        self._patterns = [(number, re.compile(text), counts) for number, text, counts in values["signals"]]
+        self._tells = re.compile(values["line"]) if values["line"] is not None else None
+        self._port_ns = 0
+
+    def plan(self, command: dict[str, Any], now: int) -> None:
+        """Take what the console wants of it."""
+        if "dead" in command:
+            self._dead = command["dead"].get(self._node, [])
+            self._held = command["paused"].get(self._node, [])
+        if command.get("again") == self._node:
+            self._over = False
+        if command.get("stop") and self.process is not None and self._stop_ns is None:
+            self._stop_ns = now + self._values["stop_within_ns"]
+            self._signal_group(signal.SIGCONT)
+            self._signal_group(getattr(signal, f"SIG{self._values['stop']}"))
+
+    def act(self, now: int) -> int:
+        """Make it as it has to be at a time [ns]. Returns when it has to be looked at again."""
+        if self._keeper.stopping:
+            if self.process is not None and self._stop_ns is not None and now >= self._stop_ns:
+                self._kill()
+            return self._stop_ns or now + MARK_NS
+        dead, paused = _holds(self._dead, now), _holds(self._held, now)
+        if dead and self.process is not None and not self._killed:
+            self._killed = True
+            self._kill()
+        elif not dead and self.process is None and not self._over:
+            self._start(now)
+        elif self.process is not None and not self._killed and paused != self._paused:
+            self._paused = paused
+            for pid in self._tree():
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGSTOP if paused else signal.SIGCONT)
+            self._keeper.say(at=now, **{"paused" if paused else "resumed": self.name})
+        changes = [at for spans in (self._dead, self._held) for span in spans for at in span if at and at > now]
+        return min([*changes, self._look_ready(now)], default=now + 10**9)
+
+    def _look_ready(self, now: int) -> int:
+        """Notice that it is ready. Returns when to look again."""
+        after_ns, port = self._values["after_ns"], self._values["port"]
+        if self._ready_ns is not None or self.process is None or self._tells is not None:
+            return now + 10**9
+        if after_ns is not None:
+            if now < self._started_ns + after_ns:
+                return self._started_ns + int(after_ns)
+        elif port is not None:
+            if now < self._port_ns:
+                return self._port_ns
+            self._port_ns = now + PORT_NS
+            with socket.socket() as tried:
+                tried.settimeout(0.02)
+                if tried.connect_ex(("127.0.0.1", port)):
+                    return self._port_ns
+        self._is_ready(now)
+        return now + 10**9
+
+    def _is_ready(self, now: int) -> None:
+        self._ready_ns = now
+        self._keeper.say(at=now, ready=self.name)
+
+    def _start(self, now: int) -> None:
+        values = self._values
+        self._killed = self._paused = False
+        self._started_ns, self._ready_ns, self._line = now, None, b""
+        self._counts = [0] * len(self._counts)
+        ours, theirs = os.pipe()
+        os.set_blocking(ours, False)
+        try:
+            self.process = subprocess.Popen(
+                values["argv"], cwd=values["folder"], env=values["env"], stdin=subprocess.DEVNULL, stdout=theirs,
+                stderr=theirs, start_new_session=True, preexec_fn=self._before,
+            )  # fmt: skip
+        except (OSError, subprocess.SubprocessError, ValueError) as error:
+            os.close(ours)
+            self._over = True
+            problem = getattr(error, "strerror", None) or str(error)
+            self._keeper.say(at=now, ended=self.name, code=127, tail=[f"{values['argv'][0]}: {problem}"])
+            return
+        finally:
+            os.close(theirs)
+        self._output = ours
+        self._keeper.began(self, ours)
+        self._keeper.say(at=now, started=self.name, pid=self.process.pid)
+
+    def _before(self) -> None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)  # if somebody kills the keeper
+        for number in IGNORED:  # a program would inherit that it ignores them
+            signal.signal(number, signal.SIG_DFL)
+        if self._values["nice"]:
+            os.nice(self._values["nice"])
+
+    def read(self) -> bool:
+        """Take what it has printed. Returns whether nothing is left."""
+        try:
+            data = os.read(self._output, MOST_READ)
+        except BlockingIOError:
+            return True
+        if not data:
+            self._keeper.closes(self._output)
+            self._output = -1
+            if self._line:
+                self._hear(self._line)
+            return True
+        *lines, self._line = (self._line + data).split(b"\n")
+        for line in lines:
+            self._hear(line)
+        if len(self._line) > MOST_LINE:
+            self._hear(self._line)
+            self._line = b""
+        return len(data) < MOST_READ
+
+    def _hear(self, data: bytes) -> None:
+        now, text = monotonic_ns(), data[:MOST_LINE].decode("utf-8", "replace").rstrip("\r")
+        self._tail.append("".join(c if c.isprintable() else "?" for c in text[:400]))
+        self._keep(now, text)
+        if self._ready_ns is None and self._tells is not None and self._tells.search(text):
+            self._is_ready(now)
+        for place, (number, pattern, counts) in enumerate(self._patterns):
+            found = pattern.search(text)
+            if found is None:
+                continue
+            self._counts[place] += 1
+            with suppress(ValueError, TypeError):
+                value = float(self._counts[place]) if counts else float(found["value"])
+                self._keeper.say(at=now, told=self._node, signal=number, value=value)
+
+    def _keep(self, now: int, text: str) -> None:
+        if self._written > MOST_LOG:
+            return
+        begin = self._keeper.begin_ns
+        line = f"{'-' if begin is None else format((now - begin) / 1e9, '.3f')} {text}\n"
+        self._written += len(line)
+        if self._written > MOST_LOG:
+            line = f"what it prints after {MOST_LOG} bytes is left out\n"
+        try:
+            if self._log is None:
+                self._log = open(self._values["log"], "a", encoding="utf-8", errors="replace", buffering=1)  # noqa: SIM115
+            self._log.write(line)
+        except OSError:  # a full disk ends the lines, and no program
+            self._written = MOST_LOG + 1
+
+    def has_ended(self, code: int) -> None:
+        """Its process has ended, and was reaped."""
+        while self._output >= 0 and not self.read():
+            pass
+        if self._output >= 0:  # somebody whom it has started holds the pipe still
+            self._keeper.closes(self._output)
+            self._output = -1
+        now, killed = monotonic_ns(), self._killed
+        for pid in self._tree():  # what it leaves behind would speak in its name
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self.process.returncode = code
+        self.process = None
+        if killed:
+            self._keeper.say(at=now, killed=self.name)
+            return
+        self._over = True
+        self._keeper.say(at=now, ended=self.name, code=code, tail=list(self._tail))
+
+    def _signal_group(self, number: int) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(self.process.pid, number)
+
+    def _kill(self) -> None:
+        for pid in self._tree():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+    def _tree(self) -> list[int]:
+        """Its process and all that it has started, as far as it stays in its session or below it."""
+        return list(descendants([self.process.pid], session=self.process.pid))
+
+
+def _holds(spans: list[list[int | None]], now: int) -> bool:
+    return any((begin or 0) <= now and (end is None or now < end) for begin, end in spans)
+
+
+def descendants(roots: list[int], session: int | None = None) -> Iterator[int]:
+    """The processes below some, and those of a session, with its root. None of them is a zombie."""
+    parents: dict[int, int] = {}
+    found = set(roots) if session is None else set()
+    for name in os.listdir("/proc"):
+        if not name.isdigit():
+            continue
+        with suppress(OSError), open(f"/proc/{name}/stat", encoding="utf-8", errors="replace") as file:
+            state, parent, _, of = file.read().rpartition(")")[2].split()[:4]
+            if state in "ZX":
+                continue
+            parents[int(name)] = int(parent)
+            if session is not None and int(of) == session:
+                found.add(int(name))
+    more = True
+    while more:
+        below = {pid for pid, parent in parents.items() if parent in found and pid not in found}
+        found |= below
+        more = bool(below)
+    yield from sorted(found - set(roots) if session is None else found)
+
+
+def main() -> None:
+    _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    for number in IGNORED:  # the console ends us, with all programs
+        signal.signal(number, signal.SIG_IGN)
+    first = b""
+    while not first.endswith(b"\n"):
+        if not (data := os.read(0, 1)):
+            return
+        first += data
+    Keeper(json.loads(first)["programs"]).serve()
+
+
+if __name__ == "__main__":
+    sys.path[:] = sys.path[1:]  # not the folder of this file, whose names are none of Python's modules
+    main()

@@ -1,0 +1,433 @@
+"""The programs of a stack, as the console sees them: their command lines, who is ready or gone, what they have told."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from math import isfinite, nan
+from pathlib import Path
+from shlex import quote
+from time import monotonic_ns
+from typing import Any, NamedTuple
+
+from fleet.addons.robots import keeper
+from fleet.addons.robots.message_values import NoNumber, reader
+from fleet.errors import RunBroken
+from fleet.processes.children import describe_exit
+from fleet.result.verdict import Verdict
+from fleet.scenario.faults.kind import Kill, Part
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.programs import DONE, ProgramSection, filled, programs_of, wanted
+from fleet.scenario.sections.node_signals import told_by
+from netem.fault_kinds import WorldFaultKind
+from netem.relay_process import MOST_NOTES, Watched, WatchedMessage
+from netem.wire.messages import WorldFault
+
+BEFORE_NS = 500_000_000  # from the start of the keeper until every program has begun, where {begin_s} is told before
+STOP_S = 3.0  # for the keeper, beside the time that programs have to stop
+_EARLY = "{begin_s}"
+
+
+@dataclass(slots=True)
+class ProgramState:
+    """One program, and how it is doing."""
+
+    name: str  # `m1`, or `m1/mission`
+    node: int
+    section: ProgramSection
+    pid: int | None = None
+    ready: bool = False
+    since_ns: int = 0  # when it was started last
+    ended: str = ""  # how it ended by itself
+    code: int = 0
+    tail: list[str] = field(default_factory=list)
+
+    @property
+    def runs(self) -> bool:
+        return self.pid is not None
+
+
+class Ended(NamedTuple):
+    """A program has ended by itself, or has begun again after that."""
+
+    at_ns: int
+    node: int
+    begins: bool = False
+
+
+class Programs:
+    """All programs of a run. Nothing is started before `start`."""
+
+    def __init__(self, scenario: Scenario, directory: Path, print_line: Callable[[str], None]) -> None:
+        """Prepare them.
+
+        Args:
+            scenario: it has programs, or signals that nodes tell in messages.
+            directory: of the run.
+            print_line: shows the operator a line that stays.
+        """
+        self._scenario, self._directory, self._print = scenario, directory.resolve(), print_line
+        spec, nodes = scenario.spec, list(scenario.nodes)
+        self.states = {
+            name: ProgramState(name, nodes.index(node) + 1, section)
+            for name, node, section in programs_of(spec.programs or {}, nodes)
+        }
+        self._signals = {i: told_by(spec, i) for i in range(1, len(nodes) + 1)}
+        self._values = {i: [nan] * len(told) for i, told in self._signals.items()}
+        self._counts = {i: [0] * len(told) for i, told in self._signals.items()}
+        self.watched: list[Watched] = []  # what the relay has to look for
+        self._meanings: list[tuple[str, int, int, Any]] = []  # of each: what it is about, node, signal, its reader
+        self._watch()
+        self._keeper: subprocess.Popen[bytes] | None = None
+        self._rest = b""
+        self._events: list[tuple[int, int, dict[str, Any]]] = []  # by time
+        self._count = 0
+        self.known_ns = 0 if self.states else 2**63  # everything up to this time has been told
+        self.begin_ns: int | None = None
+        self._notes: list[str] = []
+        self.cpu_s = 0.0
+        self.said: list[Ended] = []  # since the last frame
+        self._over_ns = 2**63
+
+    @property
+    def any(self) -> bool:
+        """Whether there is anything to start or to look for."""
+        return bool(self.states or self.watched)
+
+    def _watch(self) -> None:
+        for i, told in self._signals.items():
+            for place, section in enumerate(told.values()):
+                if section.message is not None:
+                    key = self._filled(section.message, i)
+                    if section.ros is not None:
+                        key = f"*/{key.strip('/')}/**"  # of rmw_zenoh: domain, topic, type, hash
+                    self.watched.append(Watched(i, key))
+                    self._meanings.append(("signal", i, place, None if section.count else reader(section)))
+        for state in self.states.values():
+            ready = state.section.ready
+            if (text := ready.token or ready.key) is not None:
+                self.watched.append(Watched(state.node, self._filled(text, state.node), ready.token is not None))
+                self._meanings.append(("ready", state.node, 0, state.name))
+
+    def _filled(self, text: str, node: int) -> str:
+        return filled(text, {"node": self._scenario.nodes[node - 1], "number": node})
+
+    # Before the run begins.
+
+    def start(self, addresses: Mapping[str, str]) -> None:
+        """Start the programs. `addresses`: where they meet us, by node. Raises RunBroken: the keeper cannot start."""
+        if not self.states:
+            return
+        after = max((state.section.ready.after or 0 for state in self.states.values()), default=0)
+        planned_ns = monotonic_ns() + BEFORE_NS + after + (self._scenario.spec.begin or 0)
+        uses = any(_EARLY in text for s in self.states.values() for text in (*s.section.run, *s.section.env.values()))
+        self._planned_ns = planned_ns if uses else None
+        values = [self._values_of(state, addresses, planned_ns) for state in self.states.values()]
+        self._compose("up", "-d", "--wait")
+        try:
+            self._keeper = subprocess.Popen(
+                [sys.executable, "-I", keeper.__file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=(self._directory / "log" / "keeper.log").open("wb"), start_new_session=True,
+            )  # fmt: skip
+        except OSError as error:
+            raise RunBroken(f"the programs cannot be started: {error.strerror}") from None
+        assert self._keeper.stdout is not None
+        os.set_blocking(self._keeper.stdout.fileno(), False)
+        self._tell(programs=values)
+
+    def _values_of(self, state: ProgramState, addresses: Mapping[str, str], begin_ns: int) -> dict[str, Any]:
+        section, ready = state.section, state.section.ready
+        node = self._scenario.nodes[state.node - 1]
+        listen = addresses.get(node, "").replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
+        file = self._directory / f"zenoh-{node}.json5"
+        if listen:
+            connect = {"mode": "client", "connect": {"endpoints": [listen]}}
+            file.write_text(json.dumps(connect | {"scouting": {"multicast": {"enabled": False}}}))
+        known = {
+            "listen": listen, "zenoh": file, "node": node, "number": state.node, "seed": self._scenario.seed,
+            "begin_s": f"{begin_ns / 1e9:.3f}", "duration_s": f"{self._scenario.duration_ns / 1e9:g}",
+            "dir": self._directory, "domain": os.environ.get("ROS_DOMAIN_ID", "0"),
+        }  # fmt: skip
+        env = dict(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
+        env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env.get('PATH', os.defpath)}"
+        env |= {"PYTHONUNBUFFERED": "1", "ROS_DOMAIN_ID": str(known["domain"])}
+        if listen:
+            env |= {
+                "RMW_IMPLEMENTATION": "rmw_zenoh_cpp",
+                "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{listen}"]',
+            }
+        env |= {key: filled(text, known) for key, text in section.env.items()}
+        told = self._signals[state.node].values()
+        lines = [(n, each.line, bool(each.count)) for n, each in enumerate(told) if each.line is not None]
+        return {
+            "name": state.name, "node": node, "argv": [filled(word, known) for word in section.run], "env": env,
+            "folder": section.folder or ".", "nice": section.nice, "signals": lines,
+            "log": str(self._directory / "log" / f"{state.name.replace('/', '-')}.log"),
+            "line": "" if ready.token or ready.key else ready.line, "port": ready.port, "after_ns": ready.after,
+            "stop": section.stop.signal, "stop_within_ns": section.stop.within,
+        }  # fmt: skip
+
+    def unready(self) -> list[str]:
+        """The programs that are not ready yet. Raises RunBroken: one has ended, or takes too long."""
+        waiting = []
+        for state in self.states.values():
+            check = wanted(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
+            if state.ended and not (check == DONE and state.code == 0):
+                raise RunBroken(f"{state.name} {state.ended} before the run began", self._tail_of(state))
+            if state.ready or state.ended:
+                continue
+            waiting.append(state.name)
+            if state.runs and monotonic_ns() - state.since_ns > state.section.ready.within:
+                within_s = state.section.ready.within / 1e9
+                raise RunBroken(f"{state.name} was not ready within {within_s:g} s", self._tail_of(state))
+        return waiting
+
+    def begins(self, lead_ns: int) -> int:
+        """Fix when tick 0 begins, now that all are ready: the time [ns]. Raises RunBroken: it was told another one."""
+        wanted_ns = monotonic_ns() + lead_ns + (self._scenario.spec.begin or 0)
+        if self.states and self._planned_ns is not None:
+            if monotonic_ns() + lead_ns > self._planned_ns:
+                late_s = (monotonic_ns() + lead_ns - self._planned_ns) / 1e9
+                raise RunBroken(f"programs were ready {late_s:.2f} s after {_EARLY}: give begin a longer time")
+            wanted_ns = self._planned_ns
+        self.begin_ns = wanted_ns
+        self._tell(begin=wanted_ns)
+        return wanted_ns
+
+    # While it goes on.
+
+    def hear(self) -> None:
+        """Take what the keeper says. Raises RunBroken: it is gone."""
+        if self._keeper is None or self._keeper.stdout is None:
+            return
+        while True:
+            try:
+                data = os.read(self._keeper.stdout.fileno(), 1 << 20)
+            except BlockingIOError:
+                break
+            if not data:
+                if self._over_ns == 2**63:
+                    raise RunBroken(
+                        "the keeper of the programs is gone", _last_lines(self._directory / "log/keeper.log")
+                    )
+                break
+            *lines, self._rest = (self._rest + data).split(b"\n")
+            for line in lines:
+                self._take(json.loads(line))
+        if self.begin_ns is None:
+            self.advance(monotonic_ns())
+
+    def _take(self, said: dict[str, Any]) -> None:
+        if "until" in said:
+            self.known_ns = said["until"]
+        elif "cpu_s" in said:
+            self.cpu_s = said["cpu_s"]
+        else:
+            self._put(said["at"], said)
+
+    def _put(self, at_ns: int, said: dict[str, Any]) -> None:
+        self._count += 1
+        heappush(self._events, (at_ns, self._count, said))
+
+    def see(self, messages: Iterable[WatchedMessage]) -> None:
+        """Take messages and tokens that the relay was to look for."""
+        for message in messages:
+            what, node, place, how = self._meanings[message.which]
+            if what == "ready":
+                self._put(message.at_ns, {"ready": how, "at": message.at_ns})
+                continue
+            try:
+                value = None if how is None else how(message.key, message.payload)
+            except NoNumber as error:
+                name = list(self._signals[node])[place]
+                self._note(f"{self._scenario.nodes[node - 1]}: signal {name}: {message.key:.80}: {error}")
+                continue
+            self._put(message.at_ns, {"told": node, "signal": place, "value": value})
+
+    def _note(self, text: str) -> None:
+        if text not in self._notes and len(self._notes) < MOST_NOTES:
+            self._notes.append(text)
+            self._print(text)
+
+    def advance(self, to_ns: int) -> None:
+        """Let happen what happened up to a time [ns]."""
+        while self._events and self._events[0][0] <= to_ns:
+            at_ns, _, said = heappop(self._events)
+            match said:
+                case {"told": who, "signal": place, "value": value}:
+                    node = who if isinstance(who, int) else self._scenario.nodes.index(who) + 1
+                    self._counts[node][place] += 1
+                    number = float(self._counts[node][place]) if value is None else value
+                    self._values[node][place] = number if isfinite(number) else nan
+                case {"started": name, "pid": pid}:
+                    self._starts(self.states[name], pid, at_ns)
+                case {"ready": name}:
+                    self.states[name].ready = self.states[name].runs
+                case {"killed": name}:
+                    self.states[name].pid, self.states[name].ready = None, False
+                case {"ended": name, "code": code, "tail": tail}:
+                    self._ends(self.states[name], code, tail, at_ns)
+
+    def _starts(self, state: ProgramState, pid: int, at_ns: int) -> None:
+        if state.ended:
+            self.said.append(Ended(at_ns, state.node, begins=True))
+        state.pid, state.since_ns, state.ready, state.ended = pid, at_ns, False, ""
+        self._values[state.node] = [nan] * len(self._values[state.node])
+        self._counts[state.node] = [0] * len(self._counts[state.node])
+
+    def _ends(self, state: ProgramState, code: int, tail: list[str], at_ns: int) -> None:
+        state.pid, state.ready, state.code, state.tail = None, False, code, tail
+        how = describe_exit(code)
+        if self.begin_ns is None:
+            state.ended = how
+            return
+        if at_ns >= self._over_ns:
+            return  # the run is over, and stops it
+        at_s = (at_ns - self.begin_ns) / 1e9
+        state.ended = f"{how} at {at_s:.2f} s"
+        if self._is_fine(state):
+            return
+        self.said.append(Ended(at_ns, state.node))
+        self._print("\n".join([f"{state.name} {how} at t = {at_s:.2f} s", *self._tail_of(state)]))
+
+    def _wanted(self, state: ProgramState) -> str:
+        return wanted(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
+
+    def _is_fine(self, state: ProgramState) -> bool:
+        return self._wanted(state) == DONE and state.code == 0
+
+    def _tail_of(self, state: ProgramState) -> list[str]:
+        where = self._directory / "log" / f"{state.name.replace('/', '-')}.log"
+        return [f"last lines of {where}:", *(f"  {line}" for line in state.tail or ["(nothing printed)"])]
+
+    def values(self, node: int) -> tuple[float, ...] | None:
+        """What a node has told last, in the order of its signals; None: it has no program that runs and is ready."""
+        own = [state for state in self.states.values() if state.node == node]
+        if own and not all(state.ready or (self._is_fine(state) and state.ended) for state in own):
+            return None
+        return tuple(self._values[node])
+
+    @property
+    def gone(self) -> list[int]:
+        """The nodes of which a program does not run, in ascending order; one that has done its work runs."""
+        ones = self.states.values()
+        return sorted({state.node for state in ones if not (state.runs or (state.ended and self._is_fine(state)))})
+
+    def plan(self, faults: Sequence[Part], tick_ns: int) -> None:
+        """Carry out the faults that are about programs, in place of those of before."""
+        if self._keeper is None:
+            return
+        assert self.begin_ns is not None
+        dead: dict[str, list[list[int | None]]] = {}
+        paused: dict[str, list[list[int | None]]] = {}
+        for part in faults:
+            pauses = isinstance(part, WorldFault) and part.kind == WorldFaultKind.PAUSE
+            if isinstance(part, Kill) or pauses:
+                begin = self.begin_ns + part.begin * tick_ns
+                end = None if part.end is None else self.begin_ns + part.end * tick_ns
+                spans = paused if pauses else dead
+                for i in part.vehicles or range(1, len(self._scenario.nodes) + 1):
+                    spans.setdefault(self._scenario.nodes[i - 1], []).append([begin, end])
+        self._tell(dead=dead, paused=paused)
+
+    def again(self, node: int) -> None:
+        """Start the programs of a node again that have ended by themselves."""
+        self._tell(again=self._scenario.nodes[node - 1])
+
+    # The end.
+
+    def ends_at(self, at_ns: int) -> None:
+        """The run is over at a time [ns]: what ends later is no failure."""
+        self._over_ns = at_ns
+
+    def close(self) -> None:
+        """Stop the programs, and kill those that do not stop in time. Nothing of them is left."""
+        if self._keeper is None:
+            return
+        self._over_ns = min(self._over_ns, monotonic_ns())
+        self._tell(stop=True)
+        within_s = max((state.section.stop.within / 1e9 for state in self.states.values()), default=0.0)
+        assert self._keeper.stdin is not None
+        deadline = monotonic_ns() + round((within_s + STOP_S) * 1e9)
+        with suppress(RunBroken):
+            while self._keeper.poll() is None and monotonic_ns() < deadline:
+                self.hear()
+                with suppress(subprocess.TimeoutExpired):
+                    self._keeper.wait(0.02)
+            self.hear()
+        self._keeper.stdin.close()  # it kills what is left
+        with suppress(subprocess.TimeoutExpired):
+            self._keeper.wait(STOP_S)
+        self._keeper.kill()
+        self._keeper.wait()
+        if self._keeper.stdout is not None:
+            self._keeper.stdout.close()
+        self._keeper = None
+        self._compose("down")
+
+    def verdict(self) -> Verdict | None:
+        """Whether all programs ran, or did their work; None: there are none."""
+        if not self.states:
+            return None
+        bad = []
+        for state in self.states.values():
+            last = f': "{state.tail[-1]:.120}"' if state.tail else ""
+            if self._wanted(state) == DONE and not state.ended:
+                bad.append(f"{state.name} did not end")
+            elif state.ended and not self._is_fine(state):
+                bad.append(f"{state.name} {state.ended}{last}")
+        wants = self._scenario.spec.checks.programs or {"*": "running"}
+        asked = ", ".join(what if pattern == "*" else f"{pattern} {what}" for pattern, what in wants.items())
+        found = "; ".join(bad[:4]) + (f" and {len(bad) - 4} more" if len(bad) > 4 else "")
+        verdict = Verdict("programs", not bad, asked, found or f"all {len(self.states)}", len(bad), 0, "programs")
+        return verdict.with_margin(-len(bad), "programs")
+
+    def deaths(self) -> dict[int, list[str]]:
+        """By node, how its programs ended that were to run, with their last lines."""
+        found: dict[int, list[str]] = {}
+        for state in self.states.values():
+            if state.ended and not self._is_fine(state):
+                found.setdefault(state.node, []).extend([f"{state.name} {state.ended}", *state.tail])
+        return found
+
+    def _tell(self, **values: Any) -> None:
+        if self._keeper is None or self._keeper.stdin is None:
+            return
+        with suppress(OSError):  # it is gone, and `hear` says so
+            self._keeper.stdin.write(json.dumps(values).encode() + b"\n")
+            self._keeper.stdin.flush()
+
+    def _compose(self, *words: str) -> None:
+        """Bring what a compose file names up or down. Raises RunBroken: docker is not here, or refuses."""
+        file = self._scenario.spec.compose
+        if file is None:
+            return
+        name = f"fleet-{self._directory.name}".lower()
+        command = ["docker", "compose", "-p", name, "-f", file, *words]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        except FileNotFoundError:
+            raise RunBroken("compose needs docker, which is not here: install it, or leave compose out") from None
+        if done.returncode and words[0] == "up":
+            raise RunBroken(f"{' '.join(map(quote, command))} failed", done.stderr.splitlines()[-12:])
+
+
+def _last_lines(file: Path) -> list[str]:
+    with suppress(OSError):
+        return [f"  {line}" for line in file.read_text("utf-8", "replace").splitlines()[-12:]]
+    return []
+
+
+def admit(scenario: Scenario) -> None:
+    """Let the programs of a scenario be started if the user asked for it. Raises UntrustedError: one may not run."""
+    policy, file = scenario.reading.policy, scenario.spec.compose
+    for key, section in (scenario.spec.programs or {}).items():
+        policy.admit_program(key, " ".join(map(quote, section.run)), section.folder or "")
+    if file is not None:
+        policy.admit_program("compose", f"docker compose -f {quote(file)} up", str(Path(file).parent))

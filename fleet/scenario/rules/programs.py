@@ -1,0 +1,73 @@
+"""Rules on programs of nodes, on the signals that they tell, and on what only a scenario with programs may hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fleet.scenario.parts import Parts
+from fleet.scenario.rules.report import Report
+from fleet.scenario.schema.programs import filled, nodes_of, programs_of
+from netem.parsing import nearest
+
+_OF_PROGRAMS = ("begin", "signals", "compose")
+
+
+def programs(parts: Parts, report: Report) -> None:
+    """Each program is one of a node, in a folder that is there, and what it needs is known when it starts."""
+    spec = parts.spec
+    if spec.nodes is None:
+        for key in ("programs", *_OF_PROGRAMS, "checks.programs"):
+            if report.has(tuple(key.split("."))):
+                report.add(tuple(key.split(".")), "has no effect without nodes", key=True)
+        return
+    if not spec.programs:
+        for path in (("begin",), ("compose",), ("checks", "programs")):
+            if report.has(path):
+                report.add(path, "has no effect without programs", key=True)
+        if any(signal.line is not None for signal in (spec.signals or {}).values()):
+            report.add(("signals",), "lines are those of programs, and there are none", "programs: {m1: {run: [...]}}")
+    names = list(spec.nodes)
+    for key, section in (spec.programs or {}).items():
+        path, pattern = ("programs", key), key.partition("/")[0]
+        if not nodes_of(pattern, names):
+            report.add(path, f"there is no node {pattern}", _known(pattern, names), key=True)
+        folder = Path(parts.folder or "", section.folder or "")
+        if not folder.is_dir():
+            report.add((*path, "in"), f"there is no folder {folder}", "it is looked for from the folder of the file")
+        ready = section.ready
+        given = [kind for kind in ("line", "token", "key", "port", "after") if getattr(ready, kind) is not None]
+        if len(given) > 1:
+            report.add((*path, "ready"), f"expected one condition, got {' and '.join(given)}")
+        if ready.after is not None and ready.after > ready.within:
+            report.add((*path, "ready", "after"), "is longer than within", "within: the longest wait")
+    told = [text for section in (spec.programs or {}).values() for text in (*section.run, *section.env.values())]
+    early = any("{begin_s}" in text for text in told)
+    for _, node, section in programs_of(spec.programs or {}, names):
+        ready = section.ready
+        if early and any(kind is not None for kind in (ready.line, ready.token, ready.key, ready.port)):
+            hint = "ready: {after: 2 s} for all programs; or leave {begin_s} out"
+            report.add(("programs",), f"{{begin_s}} is not known before {node} is ready", hint)
+            break
+
+
+def signals(parts: Parts, report: Report) -> None:
+    """Each signal is one of a node."""
+    spec = parts.spec
+    nodes = list(spec.nodes or ())
+    for name, section in (spec.signals or {}).items() if nodes else ():
+        found = nodes_of(section.of, nodes)
+        if not found:
+            report.add(("signals", name, "of"), f"there is no node {section.of}", _known(section.of, nodes))
+        key = section.message
+        if key is None or key.startswith("udp/"):
+            continue
+        from netem.wire.robots import check_key  # here, because it imports zenoh
+
+        for number, node in enumerate(nodes, start=1):
+            if node in found and (wrong := check_key(filled(key, {"node": node, "number": number}))):
+                report.add(("signals", name, "message"), f"zenoh takes no such key expression: {wrong}")
+                break
+
+
+def _known(name: str, names: list[str]) -> str:
+    return nearest(name, names) or f"the nodes are {', '.join(names)}"

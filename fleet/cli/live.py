@@ -352,7 +352,7 @@ def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     formation = [f"formation error {status.formation}"] if placed else []
     lines = [
         f"{status.run}: t = {status.at_s:.2f} of {status.end_s:g} s, {status.clock}",
-        *([f"nodes {', '.join(status.nodes)}"] if status.nodes else formation),
+        *([_nodes(status)] if status.nodes else formation),
         f"packets {status.delivered} delivered, {status.lost} lost",
     ]
     if status.waiting not in ("", status.clock):
@@ -382,6 +382,10 @@ def screen(status: RunStatus, every: bool, height: int | None = None) -> Group:
     tail = [Text(f"and {' and '.join(left_out)}{'' if every else ': --all'}")] if left_out else []
     tables = [_links(links)] if status.nodes else [_vehicles(vehicles, placed=placed), _links(links)]
     return Group(*parts, *tables, *tail)
+
+
+def _nodes(status: RunStatus) -> str:
+    return f"nodes {', '.join(f'{name} (not running)' if name in status.gone else name for name in status.nodes)}"
 
 
 def _more(count: int, what: str) -> str:

@@ -98,6 +98,7 @@ class RunStatus(Struct):
     links_total: int
     links: Annotated[list[LinkRow], Meta(description="The worst five; with --all up to 500.")]
     nodes: Annotated[list[str], Meta(description="Of `fleet netem`; else none.")] = []
+    gone: Annotated[list[str], Meta(description="Nodes of which a program of the run does not run.")] = []
 
 
 class Injected(Struct):

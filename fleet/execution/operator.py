@@ -90,6 +90,7 @@ class Operator:
             "events": event_rows(self.scenario, self.journal),
             "waiting": self.fleet.waiting,
             "nodes": list(self.scenario.nodes),
+            "gone": [self.scenario.vehicle_name(i) for i in dead] if self.scenario.nodes else [],
             "vehicles_total": 0 if self.scenario.nodes else self.scenario.vehicles,
             "vehicles": vehicle_rows(self.scenario, self.journal, dead, every=every),
             "links_total": len(self.journal.ledger.accounts),

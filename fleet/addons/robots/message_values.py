@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -13,28 +11,11 @@ import msgpack
 from fleet.addons.robots.ros2.rmw import read_key
 from fleet.addons.robots.ros2.types import types_of
 from fleet.errors import FleetError
-from fleet.scenario.schema.programs import StackSignalSection
-
-_STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[(-?\d{1,9})\]", re.ASCII)
-_STRUCT = re.compile(r"([@=<>!]?[\dcbB?hHiIlLqQnNefdspPx\s]+)(?:\[(\d{1,6})\])?", re.ASCII)
+from fleet.scenario.schema.programs import StackSignalSection, path_of, struct_of
 
 
 class NoNumber(FleetError):
     """A message has no number where the signal looks for it."""
-
-
-def path_of(text: str) -> list[str | int]:
-    """The steps of a path such as `[0][2]` or `pose.position.x`; none: the whole value. Raises NoNumber: it is none."""
-    steps: list[str | int] = []
-    end = 0
-    for found in _STEP.finditer(text):
-        if found.start() != end:
-            break
-        steps.append(found[1] if found[1] is not None else int(found[2]))
-        end = found.end()
-    if end != len(text):
-        raise NoNumber(f"expected a path such as [0][2] or pose.x, got {text:.80}")
-    return steps
 
 
 def number_at(value: Any, path: list[str | int]) -> float:
@@ -54,9 +35,6 @@ def reader(section: StackSignalSection) -> Callable[[str, bytes], float]:
     """The function that finds the number of a signal in a message, by its key and its payload.
 
     The function raises NoNumber: the message has none.
-
-    Raises:
-        NoNumber: the section describes none.
     """
     ((kind, text),) = section.formats
     if kind == "struct":
@@ -104,14 +82,9 @@ _DECODERS: dict[str, Callable[[bytes], Any]] = {"json": json.loads, "msgpack": _
 
 
 def _of_struct(text: str) -> Callable[[str, bytes], float]:
-    found = _STRUCT.fullmatch(text)
-    try:
-        layout = struct.Struct(found[1] if found else "")
-    except struct.error as error:
-        raise NoNumber(f"expected a format such as <Hf[1], got {text:.40} ({error})") from None
-    if found is None or not layout.size or layout.size > 65_536:
-        raise NoNumber(f"expected a format such as <Hf[1], got {text:.40}")
-    which = int(found[2] or 0)
+    found = struct_of(text)
+    assert found is not None  # the schema has read it
+    layout, which = found
 
     def read(_: str, payload: bytes) -> float:
         if len(payload) < layout.size:

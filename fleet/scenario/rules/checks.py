@@ -115,7 +115,9 @@ def signal(parts: Parts, report: Report) -> None:
                 }
                 ask(check, vehicles or unknown)
             except SignalCheckError as error:
-                report.add((*path, error.key), error.problem, error.hint)
+                told = [*(spec.signals or ())]
+                known = nearest(check.topic, told) or f"the signals are {', '.join(told) or 'none'}"
+                report.add((*path, error.key), error.problem, error.hint if spec.nodes is None else known)
         if check.fault is not None and not report.mistaken("faults", "nemesis"):
             _ends(report, (*path, "fault"), check.fault, *fault_names(parts))
 

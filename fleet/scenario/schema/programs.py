@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal
@@ -58,8 +59,48 @@ def _texts(value: Any) -> Any:
     return {name: str(each) for name, each in value.items()} if isinstance(value, dict) else value
 
 
+_STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[(-?\d{1,9})\]", re.ASCII)
+_PATH = re.compile(rf"({_STEP.pattern})*", re.ASCII)
+_STRUCT = re.compile(r"([@=<>!]?[\dcbB?hHiIlLqQnNefdspPx\s]+)(?:\[(\d{1,6})\])?", re.ASCII)
+_MOST_STRUCT = 65_536  # bytes
+
+
+def path_of(text: str) -> list[str | int]:
+    """The steps of a path such as `[0][2]` or `pose.position.x`; none: the whole value."""
+    return [found[1] if found[1] is not None else int(found[2]) for found in _STEP.finditer(text)]
+
+
+def struct_of(text: str) -> tuple[struct.Struct, int] | None:
+    """The layout of bytes in `<Hf[1]`, and which number of it is meant; None: it is no layout with such a number."""
+    found = _STRUCT.fullmatch(text)
+    try:
+        layout = struct.Struct(found[1]) if found is not None else None
+    except struct.error:
+        return None
+    if found is None or layout is None or not 0 < layout.size <= _MOST_STRUCT:
+        return None
+    which = int(found[2] or 0)
+    numbers = len(layout.unpack(bytes(layout.size)))
+    return (layout, which) if which < numbers else None
+
+
+def _path(value: Any) -> Any:
+    if not isinstance(value, str) or not _PATH.fullmatch(value):
+        raise mistake(f"expected a path such as [0][2] or pose.x, got {describe_value(value)}")
+    return value
+
+
+def _layout(value: Any) -> Any:
+    if not isinstance(value, str) or struct_of(value) is None:
+        hint = "a format of Python's struct, and which of its numbers"
+        raise mistake(f"expected a layout such as <Hf[1], got {describe_value(value)}", hint=hint)
+    return value
+
+
 Words = Annotated[list[str], BeforeValidator(_words)]
 Pattern = Annotated[str, BeforeValidator(_pattern)]
+Path = Annotated[str, BeforeValidator(_path)]
+Layout = Annotated[str, BeforeValidator(_layout)]
 ProgramKey = Annotated[str, BeforeValidator(_key)]
 
 
@@ -98,11 +139,11 @@ class StackSignalSection(Section):
     of: str = "*"  # a node or a pattern of nodes
     line: Pattern | None = None  # a line that a program of the node prints, with (?P<value>...) round the number
     message: str | None = None  # the key that the node puts the message on, or udp/PORT
-    json_: Annotated[str | None, Field(alias="json")] = None  # where the number is: [0][2], or pose.x
-    msgpack: str | None = None
-    cbor: str | None = None
-    ros: str | None = None  # the field of a message of ROS 2, whose type its key names
-    struct: str | None = None  # the format of Python's struct, and which number of it: "<Hf[1]"
+    json_: Annotated[Path | None, Field(alias="json")] = None  # where the number is: [0][2], or pose.x
+    msgpack: Path | None = None
+    cbor: Path | None = None
+    ros: Path | None = None  # the field of a message of ROS 2, whose type its key names
+    struct: Layout | None = None  # the format of Python's struct, and which number of it: "<Hf[1]"
     count: Flag | None = None  # the number of such lines or messages so far
     unit: str = "1"
 

@@ -17,7 +17,7 @@ from functools import partial
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
 from threading import Thread
-from time import monotonic_ns
+from time import monotonic_ns, process_time
 from typing import Any
 
 import msgspec
@@ -472,6 +472,7 @@ class RelayProcess:
             "entered": [[*link, *counts] for link, counts in self._relay.entered.items()],
             "late": self._relay.late.to_values(),
             "came": self._came.to_values(),
+            "cpu_s": process_time(),
         }
         self._end_with(RelayReport(end, fates, self._said, [], self._notes, self._watched, closing))
 

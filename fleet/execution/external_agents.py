@@ -24,10 +24,16 @@ from netem.wire.keys import Keys
 from netem.wire.messages import PROTOCOL_VERSION
 
 
-def refuse(scenario: Scenario, what: str) -> None:
-    """Raise FleetError for a scenario with nodes, which only `fleet netem` runs, or with external agents, which join
-    distributed runs alone; `what` is refused.
+def refuse(scenario: Scenario, what: str, *, stacks: bool = False) -> None:
+    """Raise FleetError for a scenario with nodes, which `fleet netem` runs, or with external agents, which join
+    distributed runs alone; `what` is refused. `stacks`: it can be made of nodes whose programs the run starts.
     """
+    if scenario.nodes and stacks:
+        if not scenario.spec.programs:
+            raise FleetError(
+                f"{scenario.name} has nodes without programs, and {what} starts them: name some in programs"
+            )
+        return
     if scenario.nodes:
         raise FleetError(f"{scenario.name} has nodes, whose programs are not ours: fleet netem runs it, but not {what}")
     if scenario.external:

@@ -84,6 +84,7 @@ def account_for(
     result.python = sys.version.split()[0]
     wall.cores, wall.machine = cores(), machine()
     wall.x_real_time = (result.sim_s - result.from_s) / max(1e-9, wall.run_s)
+    wall.cpu_s = runner.closing.cpu_s
     result.wall = wall
     result.rejected = runner.closing.rejected
     result.deaths = {str(i): how for i, how in runner.deaths.items()}

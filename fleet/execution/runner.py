@@ -29,7 +29,7 @@ class Closing:
     rejected: dict[str, int] = field(default_factory=dict)  # by key, messages that were refused
     timing: dict[str, Any] = field(default_factory=dict)  # who was how late in a realtime run
     verdicts: list[Verdict] = field(default_factory=list)  # of what only the runner sees, such as programs of others
-    cpu_s: float = 0.0  # CPU time of programs that are not ours
+    cpu_s: float = 0.0  # CPU time of all processes, of a run of programs that are not ours
 
 
 class Runner(Protocol):

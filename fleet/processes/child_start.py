@@ -18,6 +18,8 @@ from types import ModuleType
 
 CONSOLE_PID_VARIABLE = "UUV_FLEET_CONSOLE_PID"  # tells the fork server its parent
 
+PARENT_PID_VARIABLE = "UUV_FLEET_PARENT_PID"  # tells a command that a study starts whom it must not outlive
+
 _PR_SET_PDEATHSIG = 1
 
 
@@ -29,6 +31,12 @@ def die_with_parent(parent_pid: int) -> None:
     # The parent may have died before the call took effect.
     if os.getppid() != parent_pid:
         os._exit(1)
+
+
+def die_with_study() -> None:
+    """Tie this process to the study that has started it, if one has."""
+    if parent := os.environ.pop(PARENT_PID_VARIABLE, ""):
+        die_with_parent(int(parent))
 
 
 @contextmanager

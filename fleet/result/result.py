@@ -119,6 +119,7 @@ class Wall(Struct):
     run_s: float = 0.0
     cores: Annotated[str, Meta(description="`compiled` or `plain Python`: the cores of world, agents and netem.")] = ""
     machine: Annotated[str, Meta(description="Its processor and C library.")] = ""
+    cpu_s: Annotated[float, Meta(description="CPU time of all its processes, of a run of programs; else 0.")] = 0.0
     x_real_time: Annotated[float, Meta(description="Times real time [1].")] = 0.0
 
 

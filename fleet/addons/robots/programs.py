@@ -422,12 +422,3 @@ def _last_lines(file: Path) -> list[str]:
     with suppress(OSError):
         return [f"  {line}" for line in file.read_text("utf-8", "replace").splitlines()[-12:]]
     return []
-
-
-def admit(scenario: Scenario) -> None:
-    """Let the programs of a scenario be started if the user asked for it. Raises UntrustedError: one may not run."""
-    policy, file = scenario.reading.policy, scenario.spec.compose
-    for key, section in (scenario.spec.programs or {}).items():
-        policy.admit_program(key, " ".join(map(quote, section.run)), section.folder or "")
-    if file is not None:
-        policy.admit_program("compose", f"docker compose -f {quote(file)} up", str(Path(file).parent))

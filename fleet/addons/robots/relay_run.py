@@ -131,6 +131,7 @@ class RelayRun:
         self._pipe, self._theirs = Pipe()
         self._begin_ns = 0
         self._ended = False
+        self._relay_cpu_s = 0.0
         self._until = -1  # the relay has told everything up to this tick
         self._programs = Programs(scenario, directory.path, print_line)
         self._planned: Sequence[Any] = ()  # the faults that the programs know
@@ -163,7 +164,8 @@ class RelayRun:
             self._take_rest(progress)
         finally:
             self._programs.close()
-            self.closing.cpu_s = self._programs.cpu_s
+            if self._programs.states:
+                self.closing.cpu_s = self._relay_cpu_s + self._programs.cpu_s + time.process_time()
             self._children.stop()
             if bus is not None:  # an open session would keep this process from ending
                 bus.close()
@@ -315,6 +317,7 @@ class RelayRun:
         self._journal.links(LinkReport(until, True, False, rest))
         entered = {(src, dst): (sent, copies) for src, dst, sent, copies in end["entered"]}
         self.closing = Closing(entered=entered, timing={"late": end["late"], "came": end["came"]})
+        self._relay_cpu_s = end["cpu_s"]
         return True
 
     def _end_programs(self, progress: Callable[[], None]) -> None:

@@ -213,7 +213,7 @@ def find_borders(
     )
     with store.locked():
         carried = engine.carry(modules)
-        like = Task("", 0, 0, store.record.scenario, "", timeout_s, carried)
+        like = Task("", 0, 0, store.record.scenario, "", timeout_s, carried, keep=str(store.logs))
         rows = borders.rows()
         work.progress.runs, work.progress.made = borders.count * len(store.record.seeds), sum(map(len, rows))
         while True:

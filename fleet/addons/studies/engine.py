@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Protocol
 
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import Modules, get_ready, packed
 from fleet.addons.studies.one_run import GRACE_S, Task, late, make_run, make_run_in_time
 from fleet.addons.studies.row import FAILED, Row
+from fleet.addons.studies.stack_runs import StackRuns
 from fleet.processes.limits import processors
 from fleet.processes.workers import TIMES, WorkerDied, WorkerLate, Workers
 
@@ -64,6 +67,7 @@ def lost_row(task: Task, reason: str) -> Row:
 @dataclass(frozen=True, slots=True)
 class LocalEngine:
     workers: Workers
+    stacks: StackRuns
     here: bool = True
 
     def carry(self, modules: Modules) -> Modules:
@@ -72,23 +76,30 @@ class LocalEngine:
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
         """See `Engine.make`. Where a law hangs, the worker is killed soon after the time that its run may take."""
+        if (first := next(tasks, None)) is None:
+            return
+        tasks = chain([first], tasks)
+        if first.modules.programs:
+            self.stacks.make(tasks, take, wait)
+            return
         for task, future in self.workers.each(make_run, tasks, wait, lambda task: task.timeout_s + GRACE_S):
             error = future.exception()
             take([future.result() if error is None else lost_row(task, _reason(task, error))])
 
 
 @contextmanager
-def local_engine(workers: int) -> Iterator[LocalEngine]:
-    """A pool of workers on this machine, closed on exit. Raises RunBroken if they cannot be started."""
-    with Workers(workers) as pool:
-        yield LocalEngine(pool)
+def local_engine(workers: int | None) -> Iterator[LocalEngine]:
+    """A pool of workers on this machine, closed on exit. None: one per core, and of runs of programs as many as the
+    machine can take. Raises RunBroken if they cannot be started."""
+    with Workers(workers or processors()) as pool:
+        yield LocalEngine(pool, StackRuns(workers, warnings.warn))
 
 
 def engine_of(workers: int | None = None, scheduler: Any = None) -> AbstractContextManager[Engine]:
     """The engine that was asked for. `workers`: of this machine; None: one per core. `scheduler`: of an existing Dask
     cluster, to be used instead: its address, or a cluster object. Raises RunBroken: there cannot be so many workers
     here; StudyError: the cluster cannot be used."""
-    return local_engine(workers or processors()) if scheduler is None else dask_engine(scheduler)
+    return local_engine(workers) if scheduler is None else dask_engine(scheduler)
 
 
 def _reason(task: Task, error: BaseException) -> str:
@@ -118,6 +129,8 @@ class DaskEngine:
     here: bool = False
 
     def carry(self, modules: Modules) -> Modules:
+        if modules.programs:
+            raise StudyError("programs of a stack run on this machine alone: leave --scheduler out")
         if not modules.names:
             return modules
         ready = packed(modules)

@@ -27,7 +27,7 @@ from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import Modules, modules_of
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import run_key
-from fleet.addons.studies.row import Row
+from fleet.addons.studies.row import VOTES, Row, voted
 from fleet.addons.studies.shrink import Shrinker
 from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import load_scenario
@@ -103,6 +103,8 @@ class FailureFolder:
     def paste(self, failure: FoundFailure) -> str:
         """The line that runs a failure, with what comes of it."""
         verdict = f"fails {failure.check}" if failure.expected == "fail" else "passes"
+        if not failure.digest:  # of programs on the wall clock
+            return f"fleet netem {self.path / failure.file} --seed {failure.seed}  # {verdict}"
         return f"fleet run {self.path / failure.file} --seed {failure.seed}  # {verdict}, sha256 {failure.digest[:16]}"
 
     def load(self, failure: FoundFailure, *, imports: bool = True) -> Scenario:
@@ -186,26 +188,36 @@ class Regression:
             raise StudyError(f"{folder.path} holds no failures: fleet search SCENARIO --keep {folder.path} fills it")
         self._scenarios = [folder.load(failure) for failure in self.failures]
         for scenario in self._scenarios:
-            refuse(scenario, "a run of a study")
+            refuse(scenario, "a run of a study", stacks=True)
         self.modules = modules_of(self._scenarios, folder.path)
+
+    @property
+    def times(self) -> int:
+        """How often each is run: on the wall clock several times."""
+        return VOTES if self.modules.programs else 1
 
     def run(
         self, engine: Engine, on_progress: Callable[[int], None], modules: Modules, timeout_s: float = inf
     ) -> list[RegressionResult]:
         """Run them all; returns what came out, in the order of the folder."""
-        rows: dict[int, Row] = {}
+        rows: dict[int, list[Row]] = {number: [] for number in range(len(self.failures))}
+        made = 0
 
         def tasks() -> Iterator[Task]:
             for number, (failure, scenario) in enumerate(zip(self.failures, self._scenarios, strict=True)):
                 text = scenario.to_undrawn_yaml()
                 key = run_key(f"{text}\nseed {failure.seed}")
-                yield Task(key, number, failure.seed, scenario.name, text, timeout_s, modules)
+                for _ in range(self.times):
+                    yield Task(key, number, failure.seed, scenario.name, text, timeout_s, modules)
 
-        def take(made: list[Row]) -> None:
-            rows.update({row.point: row for row in made})
-            on_progress(len(rows))
+        def take(new: list[Row]) -> None:
+            nonlocal made
+            made += len(new)
+            for row in new:
+                rows[row.point].append(row)
+            on_progress(made // self.times)
 
-        engine.make(tasks(), take, lambda: on_progress(len(rows)))
+        engine.make(tasks(), take, lambda: on_progress(made // self.times))
         return [_compared(failure, rows[number]) for number, failure in enumerate(self.failures)]
 
     def accept(self, found: list[RegressionResult]) -> list[RegressionResult]:
@@ -236,7 +248,16 @@ class Regression:
         return settled
 
 
-def _compared(failure: FoundFailure, row: Row) -> RegressionResult:
+def _compared(failure: FoundFailure, rows: list[Row]) -> RegressionResult:
+    row, fails, of = voted(rows, failure.check)
+    found = _compared_one(failure, row)
+    if len(rows) == 1:
+        return found
+    count = fails if failure.check in row.failed_checks else of - fails
+    return replace(found, got=f"{found.got} in {count} of {of} runs", differs=False)
+
+
+def _compared_one(failure: FoundFailure, row: Row) -> RegressionResult:
     wall_s = row.numbers.get("wall_s", 0.0)
     if not row.judged:
         return RegressionResult(failure, f"no result: {row.reason}", False, True, False, wall_s)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from fleet.addons.studies.errors import StudyError
 from fleet.checks.values import values_of
+from fleet.logs.open_log import Log
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.separation import Separation
@@ -355,6 +356,17 @@ class Samples:
                 values = values_of(group, row, commands.get(row.id), errors[row.id])[place]
                 if values:
                     samples.append(measure.signal.value(values))
+
+    def read(self, log: Log) -> None:
+        """Take the samples of a log, in place of frames; every signal of it has to be one number."""
+        for i, rows in self._kept.items():
+            for measure, group, _, _, _, samples in rows:
+                if (found := f"uuv/{i}/{group}") not in log:
+                    continue
+                topic, name = log[found], measure.signal.name.partition(".")[2]
+                for at_s, value in zip(topic.t.tolist(), topic[name].tolist(), strict=True):
+                    if at_s * 1e9 >= measure.after_ns:
+                        samples.append(measure.signal.value((value,)))
 
     def numbers(self) -> dict[str, float]:
         """Every measure by name; NaN where no vehicle reported it."""

@@ -19,6 +19,7 @@ from typing import NamedTuple
 from agents.controllers import BUILT_IN, laws
 from fleet.addons.studies.errors import StudyError
 from fleet.processes.run_folder import close_at_end
+from fleet.scenario.programs import admit_programs
 from fleet.scenario.scenario import Scenario
 from netem.private_folder import PrivateFolder
 from world.plants.classes import file_of, module_of
@@ -36,6 +37,7 @@ class Modules(NamedTuple):
     files: tuple[str, ...] = ()
     fingerprints: tuple[str, ...] = ()  # SHA-256 of each file, which workers check before they import a module
     names: tuple[str, ...] = ()  # of the modules of laws, plants and checks
+    programs: bool = False  # whether the runs are those of a stack, whose programs are started with each
     units: tuple[str, ...] = ()  # files of plants that are FMUs, as the scenarios name them
     carried: tuple[tuple[str, bytes], ...] = ()  # path and content of each file, for other machines
 
@@ -47,6 +49,8 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
     """The modules of all laws, plants and checks of these scenarios. `folder`: of the scenario's file; modules may lie
     in it."""
     scenarios = list(scenarios)
+    if any(scenario.nodes for scenario in scenarios):
+        return _of_stacks(scenarios, folder)
     names = {
         law.name.partition(":")[0]
         for scenario in scenarios
@@ -73,7 +77,15 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
     }
     files = tuple(dict.fromkeys([*(file for place in own.values() for file in place.files), *map(str, units.values())]))
     digests = tuple(hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files)
-    return Modules(None if folder is None else str(folder.resolve()), files, digests, tuple(names), tuple(units))
+    beside_it = None if folder is None else str(folder.resolve())
+    return Modules(beside_it, files, digests, tuple(names), units=tuple(units))
+
+
+def _of_stacks(scenarios: list[Scenario], folder: Path | None) -> Modules:
+    """What runs of programs need: these are let in as a whole, and `fleet netem` imports the checks in Python."""
+    for scenario in scenarios:
+        admit_programs(scenario.spec, scenario.reading.policy)
+    return Modules(None if folder is None else str(folder.resolve()), programs=True)
 
 
 def packed(modules: Modules) -> Modules:

@@ -54,6 +54,7 @@ class Task(NamedTuple):
     log: str = ""  # the run directory that is to be made; empty: none
     branches: Branches | None = None  # parts of a run, in place of all of it
     healed: tuple[tuple[int, str], ...] = ()  # in its place runs that are healed at a tick, with their scenarios
+    keep: str = ""  # of a run of programs: where its directory goes if it fails; empty: nowhere
     bare: bool = False  # without a digest, and without an emulator as far as that is possible
 
 
@@ -70,7 +71,7 @@ def make_run(task: Task) -> Row:
 
     A run that takes too long ends between two ticks. Where a law hangs within a tick, it does not end.
     """
-    return _whole(task, _made(task))
+    return whole_row(task, _made(task))
 
 
 def make_run_in_time(task: Task) -> Row:
@@ -92,10 +93,11 @@ def make_run_in_time(task: Task) -> Row:
     thread.join(task.timeout_s + GRACE_S)
     if thread.is_alive():
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(_AbandonedError))
-    return _whole(task, rows[0] if rows else _failed(task, late(task)))
+    return whole_row(task, rows[0] if rows else failed_row(task, late(task)))
 
 
-def _whole(task: Task, row: Row) -> Row:
+def whole_row(task: Task, row: Row) -> Row:
+    """A row with what names its run, and with what made it."""
     row.key, row.point, row.seed = task.key, task.point, task.seed
     row.version, row.cores = version("uuv-fleet"), cores()
     return row
@@ -121,12 +123,12 @@ def _made(task: Task) -> Row:
             scenario = fired_of(task)
         samples = Samples(scenario, task.signals)
         if task.log:
-            return _measured(recorded(scenario, Path(task.log), check, samples), samples)
+            return measured_row(recorded(scenario, Path(task.log), check, samples), samples)
         # The digest of a run that fails is that of its repetition: to make it here would make each failure twice.
         result = judged(scenario, in_time, samples, log=NoDigest() if task.bare else None)
-        return _measured(result, samples)
+        return measured_row(result, samples)
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
-        return _failed(task, error)
+        return failed_row(task, error)
 
 
 def healed_runs(task: Task, scenario: Scenario) -> list[Row]:
@@ -178,7 +180,8 @@ def _by_verdicts(task: Task, verdicts: Sequence[Verdict]) -> Row:
     return Row(seed=task.seed, status=status, passed=passed, checks=checks, numbers=numbers)
 
 
-def _failed(task: Task, error: Exception) -> Row:
+def failed_row(task: Task, error: Exception) -> Row:
+    """The row of a run that has no result."""
     reason = str(error) if isinstance(error, FleetError) else f"{type(error).__name__}: {error}"
     return Row(seed=task.seed, status=FAILED, reason=_text(reason[:2000]))
 
@@ -223,7 +226,8 @@ def _read(task: Task, then: Callable[[Scenario], Scenario]) -> Scenario:
     return found
 
 
-def _measured(result: Result, samples: Samples) -> Row:
+def measured_row(result: Result, samples: Samples) -> Row:
+    """The row of a run with a result."""
     checks, numbers = _judged(result.checks)
     numbers |= {name: float(measure.of(result)) for name, measure in MEASURES.items()}
     numbers |= {name: float(value) for name, value in samples.numbers().items()}

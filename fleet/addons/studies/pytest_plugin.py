@@ -67,15 +67,15 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
 def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path) -> list[Result]:
     from fleet.addons.studies.row import Reached
     from fleet.execution.stepped_run import override_texts
-    from fleet.execution.whole_run import run as run_once
 
     texts = override_texts(changes)
     found: list[Result] = []
     reached: dict[str, Reached] = {}
     for seed in seeds:
-        result = run_once(name, set=texts, seed=seed, trust=trust)
+        result, log = _once(name, [*texts, f"seed={seed}"], trust)
         if not result.passed:
-            log = _kept(name, [*texts, f"seed={seed}"], trust, directory.with_name(f"{directory.name}-seed-{seed}"))
+            place = directory.with_name(f"{directory.name}-seed-{seed}")
+            log = log or _kept(name, [*texts, f"seed={seed}"], trust, place)
             pytest.fail(_words(name, texts, result, len(seeds), log), pytrace=False)
         found.append(result)
         for verdict in result.checks:
@@ -85,6 +85,23 @@ def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path
     if missed := [one.words for one in reached.values() if not one.hits]:
         pytest.fail(f"{name}: no run fails, and that says little: {'; '.join(missed)}", pytrace=False)
     return found
+
+
+def _once(name: str, changes: list[str], trust: bool) -> tuple[Result, str]:
+    """Make one run. Returns its result, and where its log is if there is one already."""
+    from fleet.addons.studies.stack_runs import run_stack
+    from fleet.execution.whole_run import run
+    from fleet.scenario.loading import load_scenario
+    from fleet.scenario.programs import admit_programs
+    from world.plugins.trust import trusting
+
+    with trusting(trust):
+        scenario = load_scenario(name, changes)
+        admit_programs(scenario.spec, scenario.reading.policy)
+    if not scenario.nodes:
+        return run(name, set=changes, trust=trust), ""
+    result = run_stack(scenario, Path("runs"))
+    return result, f"its log: {result.directory} (fleet view {result.directory})"
 
 
 def _kept(name: str, changes: list[str], trust: bool, directory: Path) -> str:

@@ -52,6 +52,7 @@ class StudyRecord(msgspec.Struct, omit_defaults=True):
     folder: str | None = None  # of the scenario's file: where laws are looked for, which need trust all the same
     spec: StudySpec | None = None  # as people write it; of `fleet boundary` there is none
     border: BorderRecord | None = None  # of `fleet boundary`: not every point is run with every seed
+    programs: bool = False  # whether its runs are those of a stack, on the wall clock
 
     @property
     def rules(self) -> StudySpec:

@@ -7,7 +7,7 @@ came where a failure could be.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import nan
 
@@ -17,8 +17,16 @@ from fleet.result.result import Status
 from fleet.scenario.scenario import Scenario
 
 FAILED = "failed"  # the status of a run that has no result
-STATUSES = (FAILED, *Status)
+LATE = "late"  # of one whose host was late, so that it says nothing about its programs
+STATUSES = (FAILED, LATE, *Status)
 _JUDGED = frozenset({"pass", "check_failed"})  # of one that came to its end
+
+
+def run_name(point: int, seed: int) -> str:
+    """The name of the directory of a run that a study has kept."""
+    return f"point-{point}-seed-{seed}"
+
+
 PREFIX = "sometimes."  # of the number that is 1 in runs that reached a check, and 0 in others
 
 
@@ -61,7 +69,7 @@ class Row(Struct, kw_only=True):
 
     @property
     def has_result(self) -> bool:
-        return self.status != FAILED
+        return self.status not in (FAILED, LATE)
 
     @property
     def judged(self) -> bool:
@@ -103,6 +111,28 @@ class Row(Struct, kw_only=True):
         return structs.replace(
             self, status=FAILED, reason=f"{text}. {why}", passed=None, checks={}, numbers={}, digest=None
         )
+
+
+VOTES = 3  # of runs on the wall clock, which repeat well, and not exactly
+
+
+def voted(rows: Sequence[Row], check: str = "") -> tuple[Row, int, int]:
+    """What most of some runs of the same came to.
+
+    Args:
+        rows: the runs, of which some may have no verdict.
+        check: what has to fail; empty: any.
+
+    Returns:
+        One of the rows that stands for them: one that failed, if more than half of those with a verdict did. Then how
+        many failed, and how many had a verdict.
+    """
+    judged = [row for row in rows if row.judged]
+    failed = [row for row in judged if (check in row.failed_checks if check else row.failed_checks)]
+    if not judged:
+        return rows[0], 0, 0
+    most = failed if 2 * len(failed) > len(judged) else [row for row in judged if row not in failed]
+    return (most or judged)[0], len(failed), len(judged)
 
 
 def sometimes_names(scenarios: Iterable[Scenario]) -> list[str]:

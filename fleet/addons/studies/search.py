@@ -8,11 +8,14 @@ A run that fails a check which no run before has failed is repeated (`confirmed`
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from math import inf
+from pathlib import Path
 from typing import Literal
+
+from msgspec import structs
 
 from fleet.addons.studies.engine import Engine
 from fleet.addons.studies.errors import StudyError
@@ -20,7 +23,7 @@ from fleet.addons.studies.failures import FailureFolder, FoundFailure, SearchPro
 from fleet.addons.studies.modules import NO_MODULES, Modules
 from fleet.addons.studies.one_run import Task, fired_of, scenario_of
 from fleet.addons.studies.plan import run_key
-from fleet.addons.studies.row import Covered, Reached, Row, sometimes_names
+from fleet.addons.studies.row import FAILED, VOTES, Covered, Reached, Row, sometimes_names, voted
 from fleet.addons.studies.spec import LARGEST_SEED
 from fleet.addons.studies.statistics import most_failures
 from fleet.execution.external_agents import refuse
@@ -59,6 +62,7 @@ class SearchResult:
     reason: str = ""  # why the first of these has none
     kinds: dict[str, int] = field(default_factory=dict)  # the first seed by check; without a folder only one
     reached: list[Reached] = field(default_factory=list)  # the checks that some run must reach
+    votes: dict[str, tuple[int, int]] = field(default_factory=dict)  # on the wall clock: runs that fail a check, of all
     unstated: dict[str, int] = field(default_factory=dict)  # a seed by check that failed and is not looked for
     triggered: dict[str, str] = field(default_factory=dict)  # what began a fault of `scenario`, by the fault's id
     covered: Covered | None = None
@@ -97,7 +101,7 @@ def search(
     wall time no run begins. `keep`: keeps the first scenario of each kind of failure; then the search goes on after a
     failure, and runs of before count. Raises StudyError: the scenario has no nemesis, or not this check; or the folder
     cannot be used."""
-    refuse(scenario, "a run of a study")
+    refuse(scenario, "a run of a study", stacks=True)
     if scenario.undrawn.nemesis is None:
         raise StudyError(f"{scenario.name} has no random faults, so all seeds have the same: --nemesis adds some")
     text, until = scenario.to_undrawn_yaml(), time.monotonic() + budget_s
@@ -134,12 +138,16 @@ class _Search:
     ) -> None:
         self._scenario, self._text, self._check, self._modules, self._keep = scenario, text, check, modules, keep
         self._unstated = scenario.spec.checks.unstated
+        where = Path("runs") if keep is None else keep.path
+        self._place = str(where.resolve() / f"{scenario.name}-search") if modules.programs else ""
         self.found = SearchResult(scenario.name, scenario.seed)
         self.found.reached = [Reached(name) for name in sometimes_names([scenario])]
         self.next_seed = scenario.seed
         self.waiting: dict[int, Row] = {}  # rows behind a seed that has none yet
         self.doubt: int | None = None  # the next seed, if its run fails and is being repeated
         self._repeats: list[Task] = []  # that no worker has yet
+        self._times = VOTES if modules.programs else 1  # that a run is repeated which fails in a new way
+        self._again: list[Row] = []  # its repetitions so far
         self._sure: set[int] = set()  # seeds whose run was repeated
         self.failing = False  # whether a run has failed, perhaps behind such a seed
         if keep is not None:
@@ -157,25 +165,46 @@ class _Search:
 
     def task(self, seed: int) -> Task:
         return Task(run_key(f"{self._text}\nseed {seed}"), 0, seed, self._scenario.name, self._text, inf, self._modules,
-                    bare=True)  # fmt: skip
+                    keep=self._place, bare=True)  # fmt: skip
 
     def take(self, row: Row) -> None:
         """Take a row. Count the rows that are next in order, until one fails in a new way: it is repeated first."""
         seed = row.seed
         if seed == self.doubt:
-            row, self.doubt = self.waiting[seed].compared(row), None
+            self._again.append(row)
+            if len(self._again) < self._times:
+                return
+            row, self.doubt = self._decided(self.waiting[seed], self._again), None
+            self._again = []
             self._sure.add(seed)
         self.waiting[seed] = row
         self.failing = bool(self.found.kinds) or any(self._fails(row) for row in self.waiting.values())
         while self.doubt is None and (known := self.waiting.get(self.next_seed)) is not None:
             if self._is_new(known):
                 self.doubt, again = self.next_seed, self.task(self.next_seed)
-                self._repeats.append(again._replace(key=run_key(f"{again.key}\nagain"), bare=False))
+                self._repeats += [
+                    again._replace(key=run_key(f"{again.key}\nagain{'' if n == 0 else n}"), bare=False)
+                    for n in range(self._times)
+                ]
                 break
             self._count(self.waiting.pop(self.next_seed))
             self.next_seed += 1
         if self._keep is not None and time.monotonic() - self._saved > _SAVE_S:
             self.save()
+
+    def _decided(self, row: Row, again: Sequence[Row]) -> Row:
+        """What counts of a run that failed and was repeated: always the same in lockstep, and on the wall clock what
+        most runs came to.
+        """
+        if self._times == 1:
+            return row.compared(again[0])
+        check = next(iter(self._fails(row)))
+        most, failed, of = voted([row, *again], check)
+        if check not in most.failed_checks:
+            reason = f"seed {row.seed} failed {check} in {failed} of {of} runs, which is too seldom to look into"
+            return structs.replace(most, status=FAILED, reason=reason, passed=None, checks={}, numbers={})
+        self.found.votes[check] = failed, of
+        return most
 
     def _is_new(self, row: Row) -> bool:
         if row.seed in self._sure or (self._keep is None and self.found.kinds):

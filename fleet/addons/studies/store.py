@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.measures import CHECK
 from fleet.addons.studies.record import NAME, AxisRecord, StudyRecord, read_record, write_record
-from fleet.addons.studies.row import STATUSES, CheckRow, Row
+from fleet.addons.studies.row import STATUSES, CheckRow, Row, run_name
 from fleet.addons.studies.spec import LARGEST_SEED
 from fleet.addons.studies.stopping import Rule, parse_until, seed_sequence, seeds_needed
 from fleet.addons.studies.values import AxisValue
@@ -319,7 +319,12 @@ class Store:
 
     def log_of(self, point: int, seed: int) -> Path:
         """The run directory of one of its runs; it is there only if its log was kept."""
-        return self.directory.resolve() / _LOGS / f"point-{point}-seed-{seed}"
+        return self.logs / run_name(point, seed)
+
+    @property
+    def logs(self) -> Path:
+        """Where the directories of its runs are whose logs were kept."""
+        return self.directory.resolve() / _LOGS
 
     @property
     def folder(self) -> Path | None:

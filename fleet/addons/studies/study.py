@@ -19,6 +19,7 @@ from fleet.addons.studies.pictures.border import write_borders
 from fleet.addons.studies.plan import plan_of
 from fleet.addons.studies.row import FAILED
 from fleet.addons.studies.spec import BoundarySpec, StudySpec
+from fleet.addons.studies.stack_runs import run_stack
 from fleet.addons.studies.statistics import Estimate, PairedComparison, compare
 from fleet.addons.studies.store import Store
 from fleet.addons.studies.study_file import NamedStudy, study_named
@@ -29,6 +30,7 @@ from fleet.execution.options import Options
 from fleet.notebook import Pictures, html_table
 from fleet.result.result import Result
 from fleet.scenario.loading import parse_scenario
+from fleet.scenario.programs import admit_programs
 from fleet.scenario.trust import Policy
 from world.plugins.trust import trusting
 
@@ -219,6 +221,9 @@ class Study:
         changes = [f"seed={seed}"]
         with trusting(trust):
             scenario = parse_scenario(row.scenario, record.scenario, changes, self._store.folder, Policy(A_STUDY))
+            if scenario.nodes:
+                admit_programs(scenario.spec, scenario.reading.policy)
+                return run_stack(scenario, out)
         return execute(scenario, Options(out, in_process=True, quiet=True))
 
 

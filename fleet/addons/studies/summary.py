@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from itertools import groupby
 
 from fleet.addons.studies.measures import JUDGED, MeasureColumn, columns_of_checks, find_columns
-from fleet.addons.studies.row import PREFIX, Reached
+from fleet.addons.studies.row import LATE, PREFIX, Reached
 from fleet.addons.studies.statistics import Estimate
 from fleet.addons.studies.stopping import estimated
 from fleet.addons.studies.store import Store
 
 DEFAULT = ("formation_final_m", "age_p95_s", "loss_share")
+OF_STACKS = DEFAULT[1:]  # nobody measures where robots of others are
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +21,7 @@ class PointSummary:
     values: dict[str, float | str]  # by key of the axis
     runs: int  # that were made
     failed: int  # of those, without a result
+    late: int  # of programs on the wall clock: whose host was late, so that they are no results
     passed: Estimate
     medians: dict[str, Estimate]  # by measure; of `check.NAME` the share of runs that passed it
 
@@ -37,9 +39,10 @@ def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[Poin
     found = []
     for number, each in groupby(store.rows([column.name for column in chosen]), lambda row: row.point):
         rows = list(each)
-        failed = sum(not row.has_result for row in rows)
+        lates = sum(row.status == LATE for row in rows)
+        failed = sum(not row.has_result for row in rows) - lates
         medians = {column.name: estimated(rows, column) for column in chosen}
-        found.append(PointSummary(store.points[number].values, len(rows), failed, estimated(rows), medians))
+        found.append(PointSummary(store.points[number].values, len(rows), failed, lates, estimated(rows), medians))
     return found
 
 

@@ -34,7 +34,7 @@ from fleet.addons.studies.statistics import Estimate, pass_rate
 from fleet.addons.studies.stopping import parse_until, watched_by
 from fleet.addons.studies.store import Store, StudyPoint
 from fleet.addons.studies.study_file import placed
-from fleet.addons.studies.summary import DEFAULT
+from fleet.addons.studies.summary import DEFAULT, OF_STACKS
 from fleet.analysis.preflight import check_warnings
 from fleet.errors import Problem, ScenarioError
 from fleet.execution.external_agents import refuse
@@ -110,6 +110,7 @@ def prepare(
         folder=None if folder is None else str(folder),
         spec=None if spec is None else placed(spec),
         border=border,
+        programs=bool(first.nodes),
     )
     texts: dict[str, Point] = {}
     for point, scenario in zip(plan.points, scenarios, strict=True):
@@ -127,8 +128,10 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
     Where no measures are named, those of signals that checks of the scenarios are about stand behind the usual ones.
     """
     measures = tuple(spec.measures)
-    if not measures and (checked := measures_of_checks(scenarios)):
-        measures = (*DEFAULT, *checked)
+    usual = OF_STACKS if scenarios[0].nodes else DEFAULT
+    checked = measures_of_checks(scenarios)
+    if not measures and (checked or usual is not DEFAULT):
+        measures = (*usual, *checked)
     watched = watched_by(spec.until) if spec.until else []
     columns = [*STANDING, *signal_columns_of(filter(is_signal, (*measures, *watched)), scenarios)]
     columns += [MeasureColumn(PREFIX + name, "") for name in sometimes_names(scenarios)]
@@ -153,13 +156,13 @@ def modules_again(store: Store) -> Modules:
 
 def _modules(scenarios: Sequence[Scenario], folder: Path | None) -> Modules:
     for scenario in scenarios:
-        refuse(scenario, "a run of a study")
+        refuse(scenario, "a run of a study", stacks=True)
     return modules_of(scenarios, folder)
 
 
 def check_names(scenarios: Sequence[Scenario]) -> list[str]:
     """The names of the checks that any of the scenarios has, including those that are always judged."""
-    always = ["tumbled", "deaths", "qp_infeasible"]
+    always = ["programs"] if scenarios[0].nodes else ["tumbled", "deaths", "qp_infeasible"]
     declared = [
         name
         for scenario in scenarios
@@ -189,7 +192,7 @@ def run_study(
     work = Work(store, engine, on_progress, time.monotonic() + budget_s)
     signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
     with store.locked():
-        like = Task("", 0, 0, store.record.scenario, "", timeout_s, modules, signals)
+        like = Task("", 0, 0, store.record.scenario, "", timeout_s, modules, signals, keep=str(store.logs))
         with suppress(_BudgetSpent):
             _make_missing(work, like._replace(modules=engine.carry(modules)))
             _keep_logs(work, like._replace(timeout_s=inf), kept)
@@ -298,7 +301,7 @@ def _keep_logs(work: Work, like: Task, kept: KeepLogs) -> None:
     """
     store, progress = work.store, work.progress
     digests = logs_to_make(store, kept)
-    if not digests:
+    if not digests or like.modules.programs:  # whose runs do not come out the same again: those that fail are kept
         return
     progress.doing, progress.runs, progress.made, progress.new = "logs", len(digests), 0, 0
     progress.began = time.monotonic()

@@ -51,12 +51,14 @@ def netem(
       fleet inject partition 'auv1 / auv2,shore' --for 30s
       fleet netem stack.yaml --view
     """
-    from fleet.addons.robots.programs import admit
     from fleet.addons.robots.relay_run import RelayRun
     from fleet.analysis.robot_addresses import warnings
+    from fleet.processes.child_start import die_with_study
     from fleet.processes.children import start_forkserver
     from fleet.scenario.loading import load_scenario
+    from fleet.scenario.programs import admit_programs
 
+    die_with_study()
     if not show_config:
         start_forkserver()
     scenario = load_scenario(stack, [*changes, *key_options(seed=seed, duration=duration)])
@@ -65,7 +67,7 @@ def netem(
     if show_config:
         click.echo(scenario.to_yaml(), nl=False)
         return
-    admit(scenario)
+    admit_programs(scenario.spec, scenario.reading.policy)
     if not quiet:
         for text in warnings(scenario):
             say(f"warning: {text}", err=True)

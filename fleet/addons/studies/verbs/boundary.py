@@ -17,6 +17,7 @@ from fleet.addons.studies.verbs.study_options import (
     axis_columns,
     cell,
     progress_pieces,
+    show_failing_stacks,
     show_reached,
     study_directory,
 )
@@ -162,6 +163,7 @@ def _show(borders: Borders, found: list[Border]) -> None:
         columns.append(TerminalColumn("pass rate at\nthat end [%]", [_at_end(row) for row in found], 2))
     show(columns, borders.title, stdout(), "--json has all")
     show_reached(borders.store)
+    show_failing_stacks(borders.store)
     for row in found:
         if row.rising is not None:
             where = ", ".join(f"{key}={cell(value)}" for key, value in row.values.items())

@@ -149,7 +149,8 @@ def show_least(
     scenario: Scenario, found: Shrunk, path: Path, triggered: Mapping[str, str] = MappingProxyType({})
 ) -> None:
     """Say what was made less, and where the least scenario is. `triggered`: what began faults, by their ids."""
-    say(f"{_enough(found.scenario, triggered)}. Then {found.check} fails. See why: fleet run {path}; fleet why")
+    verb = "netem" if scenario.nodes else "run"
+    say(f"{_enough(found.scenario, triggered)}. Then {found.check} fails. See why: fleet {verb} {path}; fleet why")
     for step in found.steps or ["nothing can be left out"]:
         say(f"  {step}")
     first, last = found.found
@@ -243,7 +244,7 @@ def search(
             say(hunt.stopped(scenario), err=True)
             raise
     found = hunt.found
-    again = f"fleet run {scenario} --seed {found.seed}"
+    again = f"fleet {'netem' if tried.nodes else 'run'} {scenario} --seed {found.seed}"
     cli_junit.write(junit, found.name, junit_cases.of_search(found, hunt.kept, again))
     _print_search(found, hunt.least, check, hunt.path, hunt.kept)
     if found.scenario is not None:
@@ -303,7 +304,9 @@ class _Hunt:
     ) -> None:
         from fleet.addons.studies.shrink import Shrinker
 
-        say(f"seed {found.seed} fails {found.check}, the first one from {found.first_seed} on", err=True)
+        votes = found.votes.get(found.check)
+        rate = f" in {votes[0]} of {votes[1]} runs" if votes else ""
+        say(f"seed {found.seed} fails {found.check}{rate}, the first one from {found.first_seed} on", err=True)
         self.least = Shrinker(failing, engine, on_progress, modules).shrink(found.check, MOST_RUNS)
         write_least(self.least.scenario, self.path)
 

@@ -141,3 +141,19 @@ def show_reached(store: Store) -> None:
 
     for one in reached(store):
         say(one.words if one.hits else f"{one.words}: that no check fails says little")
+
+
+def show_failing_stacks(store: Store, most: int = 2) -> None:
+    """Say how the first runs of programs failed whose directories the study has kept, and how to make them again."""
+    from fleet.addons.studies.stack_runs import told_of
+
+    if not store.record.programs:
+        return
+    failed = [(row, store.log_of(row.point, row.seed)) for row in store.rows() if row.passed is False]
+    kept = [(row, place) for row, place in failed if place.exists()]
+    for row, place in kept[:most]:
+        values = store.points[row.point].values.items()
+        where = ", ".join(f"{key.removeprefix('network.links.')}={cell(value)}" for key, value in values)
+        say("\n".join([f"seed {row.seed} failed{f' at {where}' if where else ''}", *told_of(place)]))
+    if len(kept) > most:
+        say(f"{len(kept) - most} more runs that failed are in {store.logs}")

@@ -18,6 +18,7 @@ from fleet.addons.studies.verbs.study_options import (
     axis_columns,
     given_values,
     progress_pieces,
+    show_failing_stacks,
     show_reached,
     studies,
     study_directory,
@@ -230,6 +231,8 @@ def _show(store: Store, measures: list[MeasureColumn]) -> None:
     columns.append(TerminalColumn("runs", [str(row.runs) for row in rows], 3))
     if any(row.failed for row in rows):
         columns.append(TerminalColumn("without\nresult", [str(row.failed) for row in rows], 0))
+    if any(row.late for row in rows):
+        columns.append(TerminalColumn("late", [str(row.late) for row in rows], 0))
     columns.append(
         TerminalColumn(f"passed{check and ' '}{check}\n95 % interval", [_share(row.passed) for row in rows], 0)
     )
@@ -241,7 +244,7 @@ def _show(store: Store, measures: list[MeasureColumn]) -> None:
             heading, cells = f"passed {name.removeprefix(CHECK)}\n95 % interval", [_share(rate) for rate in found]
         else:
             heading = f"{_words_of(name)}\nmedian" + (f" [{unit}]" if unit else "")
-            cells = [_number(one, row.runs - row.failed) for one, row in zip(found, rows, strict=True)]
+            cells = [_number(one, row.runs - row.failed - row.late) for one, row in zip(found, rows, strict=True)]
         columns.append(TerminalColumn(heading, cells, rank))
     counts = sorted({row.runs for row in rows}) or [0]
     seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
@@ -250,6 +253,7 @@ def _show(store: Store, measures: list[MeasureColumn]) -> None:
     if any(0 < found.runs < LEAST for found in medians):
         say(f"A median of fewer than {LEAST} runs has no interval: none would hold the true median with 95 %.")
     show_reached(store)
+    show_failing_stacks(store)
     say(str(store.directory))
 
 

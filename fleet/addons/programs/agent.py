@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
@@ -32,6 +32,7 @@ from fleet.addons.programs.event_loop import asyncio_module, loop_aside
 from fleet.addons.programs.import_space import ImportSpace
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
+from fleet.addons.programs.velocity import velocity_demand
 from fleet.addons.programs.zenoh_session import TOKEN, Zenoh, zenoh_module
 from fleet.errors import FleetError
 from fleet.quantities import time_ns
@@ -161,7 +162,7 @@ class ProgramAgent:
             with loop_aside():
                 self._advance(now_ns)
             self._busy_until_ns = now_ns + self._cost_ns
-        return tau if self._life.tau is None else self._life.tau, self._life.values
+        return self._life.demand(nav) or tau, self._life.values
 
     def _advance(self, now_ns: int) -> None:
         if not self._limited or threading.current_thread() is not threading.main_thread():
@@ -202,7 +203,7 @@ class ProgramLife:
         self._ros: Any = None  # made when the program imports rclpy, which needs the extra `ros2`
         self._tokens_ns = 0
         self._begun = False
-        self.tau: Vec3 | None = None  # as the program commands; None: it has commanded nothing
+        self._commanded: Callable[[Nav], Vec3] | None = None  # forces as the program commands; None: it has not yet
         self._zenoh.command = self._command
         self._output = standard.Output(self._hear_line)
         self._write_line = line_writer(f"agent-{config.id}.log")
@@ -226,10 +227,16 @@ class ProgramLife:
         if self._ros is not None:
             self._ros.tell_odometry(self.turns.now_ns, nav)
 
-    def _command(self, force: float, pitch: float, yaw: float) -> None:
-        if not all(map(isfinite, (force, pitch, yaw))):
-            raise ProgramFailed(f"it commands {(force, pitch, yaw)}: every number must be finite")
-        self.tau = (float(force), float(pitch), float(yaw))
+    def demand(self, nav: Nav) -> Vec3 | None:
+        """Surge force [N], pitch and yaw moment [N m] as the program commands; None: it has commanded nothing."""
+        return None if self._commanded is None else self._commanded(nav)
+
+    def _command(self, *forces: float) -> None:
+        tau = _finite(forces)
+        self._commanded = lambda _: tau
+
+    def _command_velocity(self, *velocity: float) -> None:
+        self._commanded = partial(velocity_demand, self._config.vehicle, _finite(velocity))
 
     def sent(self) -> list[bytes]:
         """What the program has sent, and its tokens again and again, since the water may lose them."""
@@ -279,7 +286,7 @@ class ProgramLife:
 
         if self._ros is None:
             self._ros = Ros(self.turns, self._config.id, partial(self._send, ROS), self._output.write)
-            self._ros.command = self._command
+            self._ros.command, self._ros.command_velocity = self._command, self._command_velocity
             self._rclpy_modules = rclpy_modules(self._ros)
         return self._rclpy_modules.get(name)
 
@@ -313,6 +320,13 @@ class ProgramLife:
             self._zenoh.hear(delivery.src, message)
         elif self._ros is not None:
             self._ros.hear(delivery.src, message)
+
+
+def _finite(command: Sequence[float]) -> Vec3:
+    if not all(map(isfinite, command)):
+        raise ProgramFailed(f"it commands {command}: every number must be finite")
+    surge, pitch, yaw = map(float, command)
+    return surge, pitch, yaw
 
 
 def interfaces(name: str) -> ModuleType | None:

@@ -10,7 +10,7 @@ from itertools import count
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-from agents.api import Nav
+from agents.api import Nav, Vec3
 from fleet.addons.programs.ros_messages import RosMessage, from_cdr, known_types, to_cdr
 from fleet.addons.programs.ros_time import Clock, ClockType, Duration, Time
 from fleet.addons.programs.standard import EPOCH_NS
@@ -19,7 +19,9 @@ from fleet.addons.robots.ros2.agent import NavState
 from fleet.addons.robots.ros2.mapping import MessageMaker, frd
 
 TOPIC, REQUEST, RESPONSE = range(3)
-ODOMETRY, WRENCH = "/odom", "/wrench"  # they stay within the vehicle; the axes are those of ROS (REP 103)
+ODOMETRY = "/odom"
+WRENCH, VELOCITY = "/wrench", "/cmd_vel"  # they stay within the vehicle; the axes are those of ROS (REP 103)
+Command = Callable[[float, float, float], None]
 
 
 class Ros:
@@ -45,7 +47,8 @@ class Ros:
         self.timers: list[Timer] = []
         self.waiters = Waiters(turns)
         self.ok = True
-        self.command: Callable[[float, float, float], None] = lambda *_: None  # surge force [N], pitch, yaw [N m]
+        self.command: Command = lambda *_: None  # surge force [N], pitch, yaw [N m]
+        self.command_velocity: Command = lambda *_: None  # surge [m/s], pitch rate, yaw rate [rad/s]
 
     def later(self, call: Callable[[], object]) -> None:
         """A callback is ready for the next executor that spins."""
@@ -53,15 +56,17 @@ class Ros:
         self.waiters.wake()
 
     def publish(self, topic: str, message: RosMessage) -> None:
-        """Send a message, to nodes of this program, too."""
-        if topic == WRENCH:
-            wrench: Any = message.wrench if hasattr(message, "wrench") else message
-            _, pitch, yaw = frd((0.0, wrench.torque.y, wrench.torque.z))
-            self.command(wrench.force.x, pitch, yaw)
-            return
+        """Send a message, to nodes of this program, too. What steers the vehicle goes to nobody else."""
         parts = [TOPIC, topic, message.name, to_cdr(message)]
         self.hear(self.number, parts)
-        self.send(parts)
+        if topic == WRENCH:
+            wrench: Any = getattr(message, "wrench", message)
+            self.command(*_axes(wrench.force.x, wrench.torque))
+        elif topic == VELOCITY:
+            twist: Any = getattr(message, "twist", message)
+            self.command_velocity(*_axes(twist.linear.x, twist.angular))
+        else:
+            self.send(parts)
 
     def tell_odometry(self, now_ns: int, nav: Nav) -> None:
         """Tell the nodes where their vehicle is, if one listens."""
@@ -114,6 +119,12 @@ class Ros:
             times = [at for at in (until_ns, None if due is None else due.due_ns) if at is not None]
             self.waiters.wait(min(times) if times else None)
         return False
+
+
+def _axes(surge: float, turn: Any) -> Vec3:
+    """What acts along the axis of the vehicle, and about the pitch and yaw axes: from the axes of ROS to ours."""
+    _, pitch, yaw = frd((0.0, turn.y, turn.z))
+    return surge, pitch, yaw
 
 
 class Timer:

@@ -22,6 +22,25 @@ MEMBER = ROOT / "docs/examples/election_stack/member.py"
 RunProgram = Callable[..., Result]
 
 
+def scenario(arguments: str = '["{id}"]', vehicles: int = 2, signal: str = "v", **changes: str) -> str:
+    """A moored fleet whose agents all run `program.py`, with further keys of `agent`."""
+    text = dedent(f"""
+        name: own
+        title: a program
+        vehicles: {vehicles}
+        moored: true
+        tick: 10 ms
+        duration: 3 s
+        graph: {{shape: complete}}
+        network: {{period: 10 ms, links: {{"*": delay 20ms}}}}
+        agent:
+          program: program.py
+          arguments: {arguments}
+          signals: {{{signal}: '(?P<value>-?[0-9.]+) {signal}$'}}
+    """).strip()
+    return text + "".join(f"\n  {key}: {value}" for key, value in changes.items()) + "\n"
+
+
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunProgram:
     """Writes a program into the current folder, and runs it as every agent of a moored fleet."""
@@ -29,25 +48,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunProgram:
 
     def made(text: str, arguments: str = '["{id}"]', vehicles: int = 2, signal: str = "v", **changes: str) -> Result:
         (tmp_path / "program.py").write_text(dedent(text))
-        more = "".join(f"\n  {key}: {value}" for key, value in changes.items())
-        (tmp_path / "own.yaml").write_text(
-            dedent(f"""
-            name: own
-            title: a program
-            vehicles: {vehicles}
-            moored: true
-            tick: 10 ms
-            duration: 3 s
-            graph: {{shape: complete}}
-            network: {{period: 10 ms, links: {{"*": delay 20ms}}}}
-            agent:
-              program: program.py
-              arguments: {arguments}
-              signals: {{{signal}: '(?P<value>-?[0-9.]+) {signal}$'}}
-            """).strip()
-            + more
-            + "\n"
-        )
+        (tmp_path / "own.yaml").write_text(scenario(arguments, vehicles, signal, **changes))
         return fleet.run("own.yaml", out=tmp_path / "runs")
 
     return made
@@ -457,6 +458,47 @@ def test_a_program_steers_its_vehicle_or_leaves_it_to_the_laws(text: str, run: R
     assert commanded == ("Steer" in text or "self/cmd" in text), result.reason
     if commanded:
         assert abs(float(lines(result, 2)[0].split()[0]) - 9.0) < 1.0
+
+
+ROS_VELOCITY = """
+    import rclpy
+    from geometry_msgs.msg import Twist, TwistStamped
+    from rclpy.node import Node
+    class Swim(Node):
+        def __init__(self):
+            super().__init__("swim")
+            self.stamped = self.declare_parameter("stamped", {stamped}).value
+            self.out = self.create_publisher(TwistStamped if self.stamped else Twist, "cmd_vel", 10)
+            self.create_subscription(TwistStamped if self.stamped else Twist, "cmd_vel", lambda _: print("1 v"), 10)
+            self.create_timer(0.1, self.tell)
+            self.tell()
+        def tell(self):
+            message = TwistStamped() if self.stamped else Twist()
+            twist = message.twist if self.stamped else message
+            twist.linear.x, twist.angular.z = {surge}, {turn}  # in ROS a positive turn is to port
+            self.out.publish(message)
+    rclpy.init()
+    rclpy.spin(Swim())
+"""
+
+
+@pytest.mark.parametrize(
+    "surge, turn, stamped", [(1.0, 0.0, False), (1.0, 0.1, True), (0.5, -0.1, False), (-0.3, 0.0, True)]
+)
+def test_a_twist_gives_the_vehicle_its_velocity(
+    surge: float, turn: float, stamped: bool, run: RunProgram, tmp_path: Path
+) -> None:
+    pytest.importorskip("rosbags")
+    (tmp_path / "own.yaml").write_text(scenario())
+    (tmp_path / "program.py").write_text(dedent(ROS_VELOCITY.format(surge=surge, turn=turn, stamped=stamped)))
+    result = fleet.run("own.yaml", out=tmp_path / "runs", set=WATER | {"duration": "12 s"})
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert result.directory is not None
+    state = fleet.open_log(result.directory)["uuv/2/state"]
+    u, r, turned = state["u"][-1], state["r"][-1], state["psi"][-1] - state["psi"][0]
+    assert u == pytest.approx(surge, abs=0.02) and r == pytest.approx(-turn, abs=0.005), (u, r)  # ours is to starboard
+    assert turned == pytest.approx(-turn * 11, abs=0.2)  # 12 s, and a second until it turns
+    assert lines(result)[0] == "1 v"
 
 
 def test_a_log_runs_no_program_of_mine_unasked(

@@ -27,9 +27,10 @@ from agents.api import (
     unpack,
 )
 from fleet.addons.programs import standard
-from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, socket_module
+from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, select_module, socket_module
 from fleet.addons.programs.event_loop import asyncio_module, loop_aside
 from fleet.addons.programs.import_space import ImportSpace
+from fleet.addons.programs.ros_packages import interface
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
 from fleet.addons.programs.velocity import velocity_demand
@@ -260,6 +261,7 @@ class ProgramLife:
             "threading": partial(threading_module, turns, output.write),
             "_thread": lambda: thread_module(space.load("threading")),
             "socket": partial(socket_module, self._datagrams),
+            "select": partial(select_module, self._datagrams),
             "asyncio": partial(asyncio_module, turns, self._datagrams, shuffle),
             "zenoh": partial(zenoh_module, self._zenoh),
             "zenoh.handlers": lambda: space.load("zenoh").handlers,
@@ -281,7 +283,7 @@ class ProgramLife:
 
     def _of_ros(self, name: str) -> ModuleType | None:
         if name.partition(".")[0] != "rclpy":
-            return interfaces(name)
+            return interface(name, self._file.parent)
         from fleet.addons.programs.ros_node import Ros, rclpy_modules
 
         if self._ros is None:
@@ -327,20 +329,6 @@ def _finite(command: Sequence[float]) -> Vec3:
         raise ProgramFailed(f"it commands {command}: every number must be finite")
     surge, pitch, yaw = map(float, command)
     return surge, pitch, yaw
-
-
-def interfaces(name: str) -> ModuleType | None:
-    """The module of messages or services of ROS 2, such as `std_msgs.msg`, or its package; None: it is another one."""
-    package, _, kind = name.partition(".")
-    if not package.endswith(("_msgs", "_srvs", "_interfaces")) or kind not in ("", "msg", "srv"):
-        return None
-    if kind:
-        from fleet.addons.programs.ros_messages import interface_module
-
-        return interface_module(name)
-    made = ModuleType(name)
-    made.__path__ = []
-    return made
 
 
 def _random(space: ImportSpace, stand_ins: dict[str, Any], chance: Random) -> ModuleType:

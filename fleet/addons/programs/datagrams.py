@@ -6,16 +6,18 @@ import re
 import socket as real_socket
 from collections import deque
 from collections.abc import Callable, Mapping
+from itertools import count
 from types import ModuleType
 from typing import Any
 
-from fleet.addons.programs.standard import NO_SOCKETS
+from fleet.addons.programs.standard import NO_SOCKETS, Function
 from fleet.addons.programs.turns import Turns, Waiters
 
 EVERYBODY = 0
 MOST_WAITING = 4096  # datagrams that a socket holds; more are lost, as in a kernel
 MOST_BYTES = 65_507
 _FIRST_FREE = 49_152  # port that a socket gets that has asked for none
+_FIRST_FILE = 1 << 20  # number of the first socket as a file: none that the process has
 Address = tuple[str, int]
 
 
@@ -71,6 +73,9 @@ class Datagrams:
         """
         self.turns, self.book, self._send = turns, book, send
         self._bound: dict[int, Callable[[bytes, Address], None]] = {}
+        self.files: dict[int, deque[tuple[bytes, Address]]] = {}  # what has come to sockets, by their numbers
+        self.numbers = count(_FIRST_FILE)
+        self.selecting = Waiters(turns)  # threads that wait for any of several sockets
 
     def bind(self, port: int, hear: Callable[[bytes, Address], None]) -> int:
         """Hear what comes to a port; 0: any free one. Returns the port. Raises OSError: it is taken."""
@@ -117,7 +122,8 @@ def socket_module(datagrams: Datagrams) -> ModuleType:
             self._peer: Address | None = None
             self._got: deque[tuple[bytes, Address]] = deque()
             self._waiting = Waiters(turns)
-            self._closed = False
+            self._closed, self._file = False, next(datagrams.numbers)
+            datagrams.files[self._file] = self._got
 
         def bind(self, address: Address) -> None:
             self._port = datagrams.bind(address[1], self._hear)
@@ -126,6 +132,7 @@ def socket_module(datagrams: Datagrams) -> ModuleType:
             if (self._peer is None or source[1] == self._peer[1]) and len(self._got) < MOST_WAITING:
                 self._got.append((data, source))
                 self._waiting.wake(1)
+                datagrams.selecting.wake()
 
         def _bound(self) -> int:
             if not self._port:
@@ -185,11 +192,12 @@ def socket_module(datagrams: Datagrams) -> ModuleType:
             return 0
 
         def fileno(self) -> int:
-            return -1
+            return -1 if self._closed else self._file
 
         def close(self) -> None:
             self._closed = True
             datagrams.close(self._port)
+            datagrams.files.pop(self._file, None)
             self._waiting.wake()
 
         def __enter__(self) -> Socket:
@@ -214,4 +222,25 @@ def socket_module(datagrams: Datagrams) -> ModuleType:
         setdefaulttimeout=lambda seconds: default_timeout.__setitem__(0, seconds),
         getdefaulttimeout=lambda: default_timeout[0],
     )  # fmt: skip
+    return made
+
+
+def select_module(datagrams: Datagrams) -> ModuleType:
+    """The module `select`, for sockets of `socket_module`. Python's `selectors` makes do with its `select`."""
+
+    def readable(each: Any) -> bool:
+        number = each if isinstance(each, int) else each.fileno()
+        if number not in datagrams.files:
+            raise OSError(9, "Bad file descriptor: only sockets of UDP can be waited for in lockstep")
+        return bool(datagrams.files[number])
+
+    def select(rlist: Any, wlist: Any, xlist: Any, timeout: float | None = None) -> tuple[list[Any], ...]:
+        until, read, write = datagrams.turns.until(timeout), [*rlist], [*wlist]  # they can always be written to
+        while not (found := [each for each in read if readable(each)]) and not write:
+            if timeout == 0 or not datagrams.selecting.wait(until):
+                break
+        return found, write, []
+
+    made = ModuleType("select")
+    vars(made).update(select=Function(select), error=OSError)
     return made

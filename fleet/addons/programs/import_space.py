@@ -24,7 +24,7 @@ MakeModule = Callable[[], ModuleType]
 OWN_OF_PYTHON = frozenset(
     (
         *("_strptime", "argparse", "cmd", "concurrent", "dataclasses", "fileinput", "logging", "optparse", "pprint"),
-        *("queue", "random", "sched", "secrets", "traceback", "uuid"),
+        *("queue", "random", "sched", "secrets", "selectors", "traceback", "uuid"),
     )
 )
 # Parts in C that the Python of these modules does without, and must.

@@ -11,7 +11,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 from agents.api import Nav, Vec3
-from fleet.addons.programs.ros_messages import RosMessage, from_cdr, known_types, to_cdr
+from fleet.addons.programs.ros_messages import RosMessage, from_cdr, interfaces, to_cdr
 from fleet.addons.programs.ros_time import Clock, ClockType, Duration, Time
 from fleet.addons.programs.standard import EPOCH_NS
 from fleet.addons.programs.turns import NS, Turns, Waiters
@@ -72,7 +72,7 @@ class Ros:
         """Tell the nodes where their vehicle is, if one listens."""
         hearing = [each for each in self.subscriptions if each.topic == ODOMETRY]
         if hearing:
-            types = known_types()
+            types = interfaces().types
             message = MessageMaker(types).odometry(EPOCH_NS + now_ns, self.number, NavState(nav), nav.belief)
             for each in hearing:
                 each.take(types.encode("nav_msgs/msg/Odometry", message))
@@ -91,9 +91,9 @@ class Ros:
                 if one.name == service and one.kind.name == name:
                     self.later(partial(one.answer, src, number, data))
         elif kind == RESPONSE:
-            to, name, number, data = about
+            to, _, number, data = about
             if to == self.number and (client := self.clients.get(number)) is not None:
-                self.later(lambda: client.answered(number, name, data))
+                self.later(lambda: client.answered(number, data))
 
     def tell(self, to: int, parts: list[Any]) -> None:
         """Send something that is for one agent."""
@@ -182,7 +182,7 @@ class Subscription:
 
     def _hand_over(self) -> None:
         try:
-            message = from_cdr(self.kind.name, self._waiting.popleft())
+            message = from_cdr(self.kind, self._waiting.popleft())
         except ValueError:
             return
         self.callback(message)
@@ -223,7 +223,7 @@ class Service:
     def answer(self, src: int, number: int, data: bytes) -> None:
         """Answer a request."""
         try:
-            request = from_cdr(self.kind.Request.name, data)
+            request = from_cdr(self.kind.Request, data)
         except ValueError:
             return
         response = self.callback(request, self.kind.Response())
@@ -311,12 +311,12 @@ class Client:
             pass
         return future.result()
 
-    def answered(self, number: int, name: str, data: bytes) -> None:
+    def answered(self, number: int, data: bytes) -> None:
         """An answer has come."""
         future = self._pending.pop(number, None)
         self._ros.clients.pop(number, None)
         if future is not None:
-            future.set_result(from_cdr(name, data))
+            future.set_result(from_cdr(self.srv_type.Response, data))
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
         """Who answers is not known: it is there, or the answer never comes."""

@@ -38,12 +38,12 @@ def time_module(turns: Turns, cost_ns: int = 0) -> ModuleType:
     def time_s() -> float:
         return (EPOCH_NS + turns.now_ns) / NS
 
-    def of_now(function: Callable[..., Any], now: Callable[[], Any] = time_s, place: int = 0) -> _Function:
+    def of_now(function: Callable[..., Any], now: Callable[[], Any] = time_s, place: int = 0) -> Function:
         def call(*arguments: Any) -> Any:
             given = arguments[place] if len(arguments) > place else None
             return function(*arguments[:place], now() if given is None else given)
 
-        return _Function(call)
+        return Function(call)
 
     gmtime = of_now(real_time.gmtime)
     made = ModuleType("time")
@@ -59,7 +59,7 @@ def time_module(turns: Turns, cost_ns: int = 0) -> ModuleType:
     return made
 
 
-class _Function:
+class Function:
     """A function that is no method where a class holds it, as those in C are none (`logging.Formatter.converter`)."""
 
     def __init__(self, call: Callable[..., Any]) -> None:

@@ -140,6 +140,40 @@ def test_datagrams_go_to_agents(run: RunProgram) -> None:
     assert lines(result) == ["(b'from 2', ('10.0.0.2', 9000)) 0.03", "nothing 0.23", "True", "True", "True"]
 
 
+SELECT = """
+    import select, selectors, socket, sys, time
+    me = int(sys.argv[1])
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    for each, port in zip(sockets, (9000, 9001)):
+        each.bind(("", port))
+        each.setblocking(False)
+    print(select.select(sockets, [], [], 0.1), round(time.monotonic(), 2))
+    print(select.select(sockets, sockets[:1], [], 0)[1] == sockets[:1], select.select(sockets, [], [], 0))
+    sockets[0].sendto(b"one", (f"10.0.0.{3 - me}", 9001))
+    found, _, _ = select.select(sockets, [], [])
+    print(found == [sockets[1]], found[0].recvfrom(100), round(time.monotonic(), 2))
+    with selectors.DefaultSelector() as selector:
+        for name, each in zip("ab", sockets): selector.register(each, selectors.EVENT_READ, name)
+        print(selector.select(timeout=0.5), round(time.monotonic(), 2))
+        sockets[1].sendto(b"two", (f"10.0.0.{3 - me}", 9000))
+        ((key, events),) = selector.select()
+        print(key.data, key.fileobj.recv(100), round(time.monotonic(), 2))
+    sockets[0].close()
+    for wrong in (sockets[0], sys.stdin, 0):
+        try: select.select([wrong], [], [], 0)
+        except OSError as error: print(str(error)[:30])
+"""
+
+
+def test_select_waits_for_any_of_several_sockets(run: RunProgram) -> None:
+    result = run(SELECT)
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert lines(result) == [
+        "([], [], []) 0.1", "True ([], [], [])", "True (b'one', ('10.0.0.2', 9000)) 0.13", "[] 0.63",
+        "a b'two' 0.66", "[Errno 9] Bad file descriptor:", "fileno", "[Errno 9] Bad file descriptor:",
+    ]  # fmt: skip
+
+
 def test_zenoh_as_its_examples_use_it(run: RunProgram) -> None:
     result = run("""
         import sys, time, zenoh
@@ -443,6 +477,59 @@ def test_nodes_of_the_tutorials_of_ros(run: RunProgram) -> None:
     assert lines(result)[0] == '[INFO] [minimal_publisher]: Publishing: "Hello World: 0"'
     said = lines(result, 2)
     assert said[0] == "5 v" and said[1] == '[INFO] [minimal_subscriber]: I heard: "Hello World: 0"'
+
+
+OWN_TYPES = """
+    import sys
+    import rclpy
+    from {package}.msg import Report
+    from more_things.srv import Scale
+    from rclpy.node import Node
+    from std_msgs.msg import String
+    class Own(Node):
+        def __init__(self):
+            super().__init__("own")
+            self.out = self.create_publisher(Report, "report", 10)
+            self.create_subscription(Report, "report", self.heard, 10)
+            self.create_service(Scale, "scale", self.scale)
+            self.ask = self.create_client(Scale, "scale")
+        def heard(self, message):
+            first = message.parts[0]
+            print(message.kind == Report.GOOD, message.note.data, first.values, isinstance(message.note, String))
+        def scale(self, request, response):
+            response.part.values = [2.0 * each for each in request.part.values]
+            return response
+    rclpy.init()
+    node = Own()
+    if sys.argv[1] == "1":
+        report = Report(kind=Report.GOOD, note=String(data="deep"))
+        report.parts = [type(Scale.Request().part)(values=[1.5, 2.5])]
+        node.out.publish(report)
+        future = node.ask.call_async(Scale.Request(part=report.parts[0]))
+        rclpy.spin_until_future_complete(node, future)
+        print(future.result().part.values, f"{{len(report.parts)}} v")
+    rclpy.spin(node)
+"""
+
+
+@pytest.mark.parametrize("place, package", [("plain_things", "plain_things"), ("", "some_interfaces"), ("", "FOLDER")])
+def test_a_node_has_messages_and_services_of_its_own(
+    place: str, package: str, run: RunProgram, tmp_path: Path
+) -> None:
+    """In a folder of the package, or in `msg` of the folder in which the program lies."""
+    pytest.importorskip("rosbags")
+    package = package.replace("FOLDER", tmp_path.name)
+    for file, text in {
+        Path(place, "msg/Report.msg"): "uint8 GOOD=7\nuint8 kind\nstd_msgs/String note\nmore_things/Part[] parts\n",
+        Path("more_things/msg/Part.msg"): "float64[] values\n",
+        Path("more_things/srv/Scale.srv"): "Part part\n---\nPart part\n",
+    }.items():
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(text)
+    result = run(OWN_TYPES.format(package=package))
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert lines(result) == ["True deep [1.5, 2.5] True", "[3.0, 5.0] 1 v"]
+    assert lines(result, 2) == ["True deep [1.5, 2.5] True"]
 
 
 @pytest.mark.parametrize("text", [STEER, ROS_STEER, "import time\ntime.sleep(100)\n"], ids=["zenoh", "rclpy", "none"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -143,7 +144,7 @@ class ProgramAgent:
 
     def __del__(self) -> None:
         life = getattr(self, "_life", None)
-        if life is None or life.turns.over:
+        if life is None or life.turns.over or sys.is_finalizing():
             return
         with loop_aside():  # it may be the turn of another program
             life.turns.end()

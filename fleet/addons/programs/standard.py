@@ -22,6 +22,7 @@ NO_SOCKETS = "a program in lockstep has datagrams (UDP) and no streams: use flee
 REFUSED: Mapping[str, str] = {
     **dict.fromkeys(("subprocess", "multiprocessing", "pty", "_posixsubprocess"), NO_PROCESSES),
     **dict.fromkeys(("ssl", "socketserver", "http", "ftplib", "smtplib", "imaplib", "telnetlib", "xmlrpc"), NO_SOCKETS),
+    **dict.fromkeys(("zenoh.ext", "zenoh.shm"), "what zenoh adds to its core is not in lockstep; use fleet netem"),
     "ctypes": "what a library in C does is not in lockstep; use fleet netem",
     "trio": "only asyncio has a stand-in for its clock; use fleet netem",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from types import ModuleType
 from typing import Any
@@ -17,6 +17,7 @@ from fleet.addons.programs.zenoh_values import (
     ConsolidationMode,
     Encoding,
     FifoChannel,
+    MatchingStatus,
     Priority,
     QueryTarget,
     Reliability,
@@ -70,6 +71,13 @@ class Zenoh:
         self._deliver(message)
         if not key.startswith(OWN):
             self.send(message)
+
+    def matched(self, key: str, own: Sequence[Declaration]) -> bool:
+        """Whether something hears a key: of this program itself, or of anybody, if there is somebody.
+
+        Who hears this agent, and what they have declared, is not known: those that it hears are taken for them.
+        """
+        return bool(self.hears) or any(intersects(each.key_expr, key) for each in own)
 
     def hears_of_itself(self) -> bool:
         """Whether the program listens to where its vehicle is."""
@@ -301,12 +309,43 @@ class PendingQuery:
             self._end()
 
 
-class Publisher:
+class OneKey:
+    """Something that speaks on one key."""
+
+    def __init__(self, zenoh: Zenoh, key: Any, listening: Sequence[Declaration]) -> None:
+        self._zenoh, self.key_expr, self._listening = zenoh, key_expression(str(key)), listening
+
+    @property
+    def matching_status(self) -> MatchingStatus:
+        """Whether somebody listens: something of this program, or anybody.
+
+        What others have declared is not known, and who hears this agent neither: it is those that it hears.
+        """
+        own = any(intersects(each.key_expr, str(self.key_expr)) for each in self._listening)
+        return MatchingStatus(own or bool(self._zenoh.hears))
+
+    def declare_matching_listener(self, handler: Any = None) -> Declaration:
+        """Tell at once if somebody listens; no change is ever seen."""
+        made = Declaration(self._zenoh, self.key_expr, handler, [])
+        if self.matching_status.matching:
+            made.take(self.matching_status)
+        return made
+
+    def undeclare(self) -> None:
+        """End it."""
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+class Publisher(OneKey):
     """Puts on one key."""
 
-    def __init__(self, zenoh: Zenoh, key: str, encoding: Any) -> None:
-        self._zenoh, self._encoding = zenoh, encoding
-        self.key_expr = key_expression(key)
+    def __init__(self, zenoh: Zenoh, key: Any, encoding: Any) -> None:
+        super().__init__(zenoh, key, zenoh.subscribers)
+        self._encoding = encoding
 
     def put(self, payload: Any, *, encoding: Any = None, attachment: Any = None, **_: Any) -> None:
         """Send a sample."""
@@ -316,33 +355,23 @@ class Publisher:
         """Say that the key has no value any more."""
         _put(self._zenoh, DELETE, str(self.key_expr), b"", None, attachment)
 
-    def undeclare(self) -> None:
-        """End it."""
-
-    def __enter__(self) -> Publisher:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
 
 def _put(zenoh: Zenoh, kind: int, key: Any, payload: Any, encoding: Any, attachment: Any) -> None:
     more = None if attachment is None else ZBytes(attachment).to_bytes()
     zenoh.put(kind, str(key_expression(str(key))), ZBytes(payload).to_bytes(), str(encoding or "zenoh/bytes"), more)
 
 
-class Querier:
+class Querier(OneKey):
     """Asks on one key."""
 
-    def __init__(self, session: Session, key: Any, about: dict[str, Any]) -> None:
-        self._session, self.key_expr, self._about = session, key_expression(str(key)), about
+    def __init__(self, zenoh: Zenoh, session: Session, key: Any, about: dict[str, Any]) -> None:
+        super().__init__(zenoh, key, zenoh.queryables)
+        self._session, self._about = session, about
 
     def get(self, handler: Any = None, *, parameters: str = "", **about: Any) -> Any:
         """Ask."""
         selector = f"{self.key_expr}?{parameters}" if parameters else str(self.key_expr)
         return self._session.get(selector, handler, **(self._about | about))
-
-    def undeclare(self) -> None:
-        """End it."""
 
 
 class Liveliness:
@@ -407,7 +436,7 @@ class Session:
 
     def declare_publisher(self, key: Any, *, encoding: Any = None, **_: Any) -> Publisher:
         """A publisher of a key."""
-        return Publisher(self._zenoh, str(key), encoding)
+        return Publisher(self._zenoh, key, encoding)
 
     def declare_subscriber(self, key: Any, handler: Any = None, **_: Any) -> Subscriber:
         """A subscriber; the handler is a function, a channel, or left out for a FIFO."""
@@ -421,7 +450,7 @@ class Session:
 
     def declare_querier(self, key: Any, **about: Any) -> Querier:
         """A querier of a key."""
-        return Querier(self, key, {key: value for key, value in about.items() if key == "timeout"})
+        return Querier(self._zenoh, self, key, {key: value for key, value in about.items() if key == "timeout"})
 
     def declare_keyexpr(self, key: Any) -> KeyExpression:
         """The key itself."""
@@ -466,7 +495,7 @@ def zenoh_module(zenoh: Zenoh) -> ModuleType:
     )
     made = ModuleType("zenoh")
     kinds = (Config, Session, Sample, SampleKind, Priority, CongestionControl, Reliability, QueryTarget, Encoding,
-             ConsolidationMode, ZBytes, Reply, ReplyError, Query, Queryable, Subscriber, Publisher, Querier,
+             ConsolidationMode, ZBytes, Reply, ReplyError, Query, Queryable, Subscriber, Publisher, Querier, MatchingStatus,
              )  # fmt: skip
     vars(made).update({kind.__name__: kind for kind in kinds})
     vars(made).update(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -146,6 +147,13 @@ class ReplyError:
 
     def __init__(self, data: bytes, encoding: str) -> None:
         self.payload, self.encoding = ZBytes(data), Encoding(encoding)
+
+
+@dataclass(frozen=True, slots=True)
+class MatchingStatus:
+    """Whether somebody listens to a publisher, or answers a querier."""
+
+    matching: bool
 
 
 class Channel:

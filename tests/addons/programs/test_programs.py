@@ -133,11 +133,12 @@ def test_datagrams_go_to_agents(run: RunProgram) -> None:
         print(u.recvfrom(100), time.monotonic())
         try: u.recvfrom(100)
         except TimeoutError: print("nothing", time.monotonic())
-        for refused in (lambda: socket.socket(), lambda: __import__("subprocess"), lambda: __import__("ssl")):
+        for refused in (lambda: socket.socket(), lambda: __import__("subprocess"), lambda: __import__("ssl"),
+                        lambda: __import__("zenoh.ext")):
             try: refused()
             except (OSError, ImportError) as error: print("lockstep" in str(error))
     """)
-    assert lines(result) == ["(b'from 2', ('10.0.0.2', 9000)) 0.03", "nothing 0.23", "True", "True", "True"]
+    assert lines(result) == ["(b'from 2', ('10.0.0.2', 9000)) 0.03", "nothing 0.23", *["True"] * 4]
 
 
 SELECT = """
@@ -218,6 +219,26 @@ def test_zenoh_as_its_examples_use_it(run: RunProgram) -> None:
         "zenoh.scout is not there in lockstep; fleet netem runs the program with zenoh itself",
         "SampleKind.DELETE alive/2",
     ]
+
+
+MATCHING = """
+    import time, zenoh
+    session = zenoh.open()
+    publisher, querier = session.declare_publisher("a/b"), session.declare_querier("c/**")
+    print(publisher.matching_status.matching, querier.matching_status.matching)
+    listener = publisher.declare_matching_listener()
+    print(listener.try_recv())
+    subscriber = session.declare_subscriber("a/*")
+    publisher.declare_matching_listener(lambda status: print("matching", status.matching))
+    time.sleep(0.1)
+    subscriber.undeclare()
+    print(publisher.matching_status.matching)
+"""
+
+
+def test_a_publisher_matches_if_somebody_may_hear_it(run: RunProgram) -> None:
+    assert lines(run(MATCHING)) == ["True True", "MatchingStatus(matching=True)", "matching True", "True"]
+    assert lines(run(MATCHING, vehicles=1)) == ["False False", "None", "matching True", "False"]
 
 
 def test_asyncio_over_datagrams(run: RunProgram) -> None:

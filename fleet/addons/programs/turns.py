@@ -34,6 +34,10 @@ class Waiters:
             self._threads.remove(thread)
         return False
 
+    def wait_s(self, timeout_s: float | None) -> bool:
+        """The same, for a time from now on [s]; None: without an end."""
+        return self.wait(self._turns.until(timeout_s))
+
     def wake(self, most: int | None = None) -> int:
         """Wake so many of them, or all. Returns how many there were."""
         woken = 0

@@ -495,8 +495,8 @@ def zenoh_module(zenoh: Zenoh) -> ModuleType:
     )
     made = ModuleType("zenoh")
     kinds = (Config, Session, Sample, SampleKind, Priority, CongestionControl, Reliability, QueryTarget, Encoding,
-             ConsolidationMode, ZBytes, Reply, ReplyError, Query, Queryable, Subscriber, Publisher, Querier, MatchingStatus,
-             )  # fmt: skip
+             ConsolidationMode, ZBytes, Reply, ReplyError, Query, Queryable, Subscriber, Publisher, Querier,
+             MatchingStatus)  # fmt: skip
     vars(made).update({kind.__name__: kind for kind in kinds})
     vars(made).update(
         ZError=ZenohError, KeyExpr=key_expression, Selector=lambda key, parameters="": f"{key}?{parameters}",

@@ -533,10 +533,10 @@ OWN_TYPES = """
 """
 
 
-@pytest.mark.parametrize("place, package", [("plain_things", "plain_things"), ("", "some_interfaces"), ("", "FOLDER")])
-def test_a_node_has_messages_and_services_of_its_own(
-    place: str, package: str, run: RunProgram, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(
+    ("place", "package"), [("plain_things", "plain_things"), ("", "some_interfaces"), ("", "FOLDER")]
+)
+def test_a_node_has_messages_and_services_of_its_own(place: str, package: str, run: RunProgram, tmp_path: Path) -> None:
     """In a folder of the package, or in `msg` of the folder in which the program lies."""
     pytest.importorskip("rosbags")
     package = package.replace("FOLDER", tmp_path.name)
@@ -591,7 +591,7 @@ ROS_VELOCITY = """
 
 
 @pytest.mark.parametrize(
-    "surge, turn, stamped", [(1.0, 0.0, False), (1.0, 0.1, True), (0.5, -0.1, False), (-0.3, 0.0, True)]
+    ("surge", "turn", "stamped"), [(1.0, 0.0, False), (1.0, 0.1, True), (0.5, -0.1, False), (-0.3, 0.0, True)]
 )
 def test_a_twist_gives_the_vehicle_its_velocity(
     surge: float, turn: float, stamped: bool, run: RunProgram, tmp_path: Path

@@ -285,7 +285,8 @@ class ProgramLife:
     def _of_ros(self, name: str) -> ModuleType | None:
         if name.partition(".")[0] != "rclpy":
             return interface(name, self._file.parent)
-        from fleet.addons.programs.ros_node import Ros, rclpy_modules
+        from fleet.addons.programs.ros_modules import rclpy_modules
+        from fleet.addons.programs.ros_node import Ros
 
         if self._ros is None:
             self._ros = Ros(self.turns, self._config.id, partial(self._send, ROS), self._output.write)

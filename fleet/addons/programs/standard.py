@@ -132,19 +132,8 @@ def os_module(chance: Random, number: int) -> ModuleType:
 
 
 _STARTERS = {
-    *(
-        "abort",
-        "fork",
-        "forkpty",
-        "kill",
-        "killpg",
-        "popen",
-        "posix_spawn",
-        "posix_spawnp",
-        "startfile",
-        "system",
-        "_exit",
-    ),
+    *("abort", "fork", "forkpty", "kill", "killpg", "popen", "posix_spawn", "posix_spawnp", "startfile", "system"),
+    "_exit",
     *(name for name in dir(real_os) if name.startswith(("exec", "spawn"))),
 }
 

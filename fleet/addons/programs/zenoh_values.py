@@ -241,3 +241,6 @@ class Config:
         return cls()
 
     from_json5 = from_env = from_file
+
+
+VALUES = {name: kind for name, kind in vars().items() if getattr(kind, "__module__", "") == __name__}

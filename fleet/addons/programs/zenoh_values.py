@@ -243,4 +243,5 @@ class Config:
     from_json5 = from_env = from_file
 
 
+# What the module of a program has of these, with the handlers.
 VALUES = {name: kind for name, kind in vars().items() if getattr(kind, "__module__", "") == __name__}

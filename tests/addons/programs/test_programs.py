@@ -533,6 +533,17 @@ OWN_TYPES = """
 """
 
 
+def write_types(folder: Path, place: str) -> None:
+    """Definitions beside a program: a message in a place, and a message and a service in a package of theirs."""
+    for file, text in {
+        Path(place, "msg/Report.msg"): "uint8 GOOD=7\nuint8 kind\nstd_msgs/String note\nmore_things/Part[] parts\n",
+        Path("more_things/msg/Part.msg"): "float64[] values\n",
+        Path("more_things/srv/Scale.srv"): "# ---\nPart part\n---\nPart part\n",
+    }.items():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).write_text(text)
+
+
 @pytest.mark.parametrize(
     ("place", "package"), [("plain_things", "plain_things"), ("", "some_interfaces"), ("", "FOLDER")]
 )
@@ -540,13 +551,7 @@ def test_a_node_has_messages_and_services_of_its_own(place: str, package: str, r
     """In a folder of the package, or in `msg` of the folder in which the program lies."""
     pytest.importorskip("rosbags")
     package = package.replace("FOLDER", tmp_path.name)
-    for file, text in {
-        Path(place, "msg/Report.msg"): "uint8 GOOD=7\nuint8 kind\nstd_msgs/String note\nmore_things/Part[] parts\n",
-        Path("more_things/msg/Part.msg"): "float64[] values\n",
-        Path("more_things/srv/Scale.srv"): "Part part\n---\nPart part\n",
-    }.items():
-        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / file).write_text(text)
+    write_types(tmp_path, place)
     result = run(OWN_TYPES.format(package=package))
     assert result.status is Status.PASS, (result.reason, result.lines)
     assert lines(result) == ["True deep [1.5, 2.5] True", "[3.0, 5.0] 1 v"]
@@ -624,6 +629,32 @@ def test_a_log_runs_no_program_of_mine_unasked(
     refused = invoke("verify", log)
     assert refused.exit_code == 2 and "--trust runs it" in refused.stderr, refused.output
     assert not mark.exists()
+
+
+@pytest.mark.parametrize("what", ["select", "messages", "velocity"])
+def test_processes_of_their_own_have_the_same_bytes(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fleet.execution.execute import execute
+    from fleet.execution.options import Options
+    from fleet.scenario.loading import load_scenario
+
+    if what != "select":
+        pytest.importorskip("rosbags")
+    monkeypatch.chdir(tmp_path)
+    write_types(tmp_path, "plain")
+    texts = {
+        "select": SELECT,
+        "messages": OWN_TYPES.format(package="plain"),
+        "velocity": ROS_VELOCITY.format(surge=1.0, turn=0.1, stamped=True),
+    }
+    (tmp_path / "own.yaml").write_text(scenario())
+    (tmp_path / "program.py").write_text(dedent(texts[what]))
+    moves = WATER if what == "velocity" else {}
+    in_process = fleet.run("own.yaml", out=tmp_path / "runs", set=moves)
+    sets = [f"{key}={value}" for key, value in moves.items()]
+    distributed = execute(load_scenario("own.yaml", sets), Options(tmp_path / "runs", quiet=True))
+    assert distributed.status is Status.PASS, (distributed.reason, distributed.lines)
+    assert distributed.digest == in_process.digest
+    assert lines(distributed) == lines(in_process)
 
 
 @pytest.mark.parametrize("way", ["distributed", "hosted"])

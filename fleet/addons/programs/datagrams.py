@@ -109,7 +109,7 @@ class Datagrams:
 class Socket:
     """A UDP socket; each program has the class for itself."""
 
-    _datagrams: ClassVar[Datagrams]
+    _of_program: ClassVar[Datagrams]
     _default_timeout: ClassVar[float | None] = None
 
     @classmethod
@@ -128,30 +128,30 @@ class Socket:
         self._port, self._timeout = 0, self._default_timeout
         self._peer: Address | None = None
         self._got: deque[tuple[bytes, Address]] = deque()
-        self._waiting = Waiters(self._datagrams.turns)
-        self._closed, self._file = False, next(self._datagrams.numbers)
-        self._datagrams.files[self._file] = self._got
+        self._waiting = Waiters(self._of_program.turns)
+        self._closed, self._file = False, next(self._of_program.numbers)
+        self._of_program.files[self._file] = self._got
 
     def bind(self, address: Address) -> None:
-        self._port = self._datagrams.bind(address[1], self._hear)
+        self._port = self._of_program.bind(address[1], self._hear)
 
     def _hear(self, data: bytes, source: Address) -> None:
         if (self._peer is None or source[1] == self._peer[1]) and len(self._got) < MOST_WAITING:
             self._got.append((data, source))
             self._waiting.wake(1)
-            self._datagrams.selecting.wake()
+            self._of_program.selecting.wake()
 
     def _bound(self) -> int:
         if not self._port:
-            self._port = self._datagrams.bind(0, self._hear)
+            self._port = self._of_program.bind(0, self._hear)
         return self._port
 
     def connect(self, address: Address) -> None:
-        self._datagrams.book.agent(*address[:2])
+        self._of_program.book.agent(*address[:2])
         self._peer = address
 
     def sendto(self, data: Any, *more: Any) -> int:
-        self._datagrams.send(bytes(data), self._bound(), more[-1])
+        self._of_program.send(bytes(data), self._bound(), more[-1])
         return len(data)
 
     def send(self, data: Any, flags: int = 0) -> int:
@@ -186,7 +186,7 @@ class Socket:
         self._timeout = None if flag else 0.0
 
     def getsockname(self) -> Address:
-        return self._datagrams.book.shown(self._datagrams.book.own, self._port)
+        return self._of_program.book.shown(self._of_program.book.own, self._port)
 
     def getpeername(self) -> Address:
         if self._peer is None:
@@ -203,8 +203,8 @@ class Socket:
 
     def close(self) -> None:
         self._closed = True
-        self._datagrams.close(self._port)
-        self._datagrams.files.pop(self._file, None)
+        self._of_program.close(self._port)
+        self._of_program.files.pop(self._file, None)
         self._waiting.wake()
 
     def __enter__(self) -> Socket:
@@ -217,7 +217,7 @@ class Socket:
 def socket_module(datagrams: Datagrams) -> ModuleType:
     """The module `socket`: datagrams between agents, and nothing else."""
     book = datagrams.book
-    own: Any = type("socket", (Socket,), {"_datagrams": datagrams})
+    own: Any = type("socket", (Socket,), {"_of_program": datagrams})
 
     def refuse(*_: Any, **__: Any) -> Any:
         raise OSError(NO_SOCKETS)

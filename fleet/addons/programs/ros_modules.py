@@ -25,14 +25,14 @@ from fleet.addons.programs.turns import NS
 class Node:
     """A node; each program has the class for itself."""
 
-    _ros: ClassVar[Ros]
+    _of_program: ClassVar[Ros]
 
     def __init__(self, node_name: str, *, namespace: str = "", parameter_overrides: Any = (), **_: Any) -> None:
         self._name, self._namespace = node_name, namespace.strip("/")
         self._parameters: dict[str, Parameter] = {}
-        self._set = {each.name: each.value for each in parameter_overrides or ()}
+        self._overrides = {each.name: each.value for each in parameter_overrides or ()}
         self._on_set: list[Callable[[list[Parameter]], Any]] = []
-        self._clock, self._logger = Clock(self._ros.turns), Logger(self._ros, node_name)
+        self._clock, self._logger = Clock(self._of_program.turns), Logger(self._of_program, node_name)
         self.executor: Any = None
         self.default_callback_group = object()
 
@@ -44,25 +44,27 @@ class Node:
         return f"/{self._namespace}/{name}" if self._namespace else f"/{name}"
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any = 10, **_: Any) -> Publisher:
-        return Publisher(self._ros, msg_type, self._whole(topic))
+        return Publisher(self._of_program, msg_type, self._whole(topic))
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, qos_profile: Any = 10, **_: Any
     ) -> Subscription:
         depth = qos_profile if isinstance(qos_profile, int) else qos_profile.depth
-        return Subscription(self._ros, msg_type, self._whole(topic), callback, depth)
+        return Subscription(self._of_program, msg_type, self._whole(topic), callback, depth)
 
     def create_timer(self, timer_period_sec: float, callback: Any, *_: Any, **__: Any) -> Timer:
-        return Timer(self._ros, round(timer_period_sec * NS), callback)
+        return Timer(self._of_program, round(timer_period_sec * NS), callback)
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, **_: Any) -> Service:
-        return Service(self._ros, srv_type, self._whole(srv_name), callback)
+        return Service(self._of_program, srv_type, self._whole(srv_name), callback)
 
     def create_client(self, srv_type: Any, srv_name: str, **_: Any) -> Client:
-        return Client(self._ros, srv_type, self._whole(srv_name))
+        return Client(self._of_program, srv_type, self._whole(srv_name))
 
     def create_rate(self, frequency: float, *_: Any) -> Any:
-        return SimpleNamespace(sleep=lambda: self._ros.turns.wait(self._ros.turns.now_ns + round(NS / frequency)))
+        return SimpleNamespace(
+            sleep=lambda: self._of_program.turns.wait(self._of_program.turns.now_ns + round(NS / frequency))
+        )
 
     def get_clock(self) -> Clock:
         return self._clock
@@ -80,7 +82,7 @@ class Node:
         return self._whole(self._name)
 
     def declare_parameter(self, name: str, value: Any = None, *_: Any, **__: Any) -> Parameter:
-        self._parameters[name] = Parameter(name, None, self._set.get(name, value))
+        self._parameters[name] = Parameter(name, None, self._overrides.get(name, value))
         return self._parameters[name]
 
     def declare_parameters(self, namespace: str, parameters: Any) -> list[Parameter]:
@@ -125,7 +127,7 @@ class Node:
 class Executor:
     """Spins all nodes of the program; each program has the class for itself."""
 
-    _ros: ClassVar[Ros]
+    _of_program: ClassVar[Ros]
 
     def __init__(self, *_: Any, **__: Any) -> None: ...
 
@@ -142,17 +144,20 @@ class Executor:
 
     def spin(self) -> None:
         """Run callbacks until rclpy is shut down."""
-        while self._ros.ok:
-            self._ros.spin_once(None)
+        while self._of_program.ok:
+            self._of_program.spin_once(None)
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Run one callback, and wait for it; a time below 0 has no end, as in rclpy."""
-        self._ros.spin_once(None if timeout_sec is None or timeout_sec < 0 else self._ros.turns.until(timeout_sec))
+        self._of_program.spin_once(
+            None if timeout_sec is None or timeout_sec < 0 else self._of_program.turns.until(timeout_sec)
+        )
 
     def spin_until_future_complete(self, future: Any, timeout_sec: float | None = None) -> None:
         """Run callbacks until something is there."""
-        end = self._ros.turns.until(timeout_sec)
-        while self._ros.ok and not future.done() and self._ros.spin_once(end):
+        ros = self._of_program
+        end = ros.turns.until(timeout_sec)
+        while ros.ok and not future.done() and ros.spin_once(end):
             pass
 
 
@@ -172,7 +177,7 @@ class _Policy(Enum):
 
 def rclpy_modules(ros: Ros) -> dict[str, ModuleType]:
     """The modules `rclpy` and those below it, of one program."""
-    node, executor = (type(kind.__name__, (kind,), {"_ros": ros}) for kind in (Node, Executor))
+    node, executor = (type(kind.__name__, (kind,), {"_of_program": ros}) for kind in (Node, Executor))
     top = ModuleType("rclpy")
     top.__path__ = []
     made = {"rclpy": top}

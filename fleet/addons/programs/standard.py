@@ -28,7 +28,7 @@ REFUSED: Mapping[str, str] = {
 }
 
 
-def time_module(turns: Turns, cost_ns: int = 0) -> ModuleType:
+def time_module(turns: Turns) -> ModuleType:
     """The module `time`: the clock of the program, and waits that give its turn away."""
 
     def sleep(seconds: float) -> None:

@@ -43,7 +43,7 @@ class Threads:
         self.kinds: dict[type, Any] = {}
         for kind in (Lock, RLock, Condition, Event, Semaphore, BoundedSemaphore, Barrier, Thread, Timer, Local):
             bases = [self.kinds[base] for base in kind.__bases__ if base in self.kinds]
-            self.kinds[kind] = type(kind.__name__, (kind, *bases), {"_program": self})
+            self.kinds[kind] = type(kind.__name__, (kind, *bases), {"_of_program": self})
         self.main: Thread = self.kinds[Thread](name="MainThread")
         self.main.ident = 1  # the first thread of the turns
 
@@ -63,28 +63,28 @@ class Threads:
 class OfProgram:
     """Something whose class each program has for itself."""
 
-    _program: ClassVar[Threads]
+    _of_program: ClassVar[Threads]
 
 
 class Lock(OfProgram):
     """A lock; threads get it in the order in which they asked."""
 
     def __init__(self) -> None:
-        self._owner, self._depth, self._waiters = 0, 0, Waiters(self._program.turns)
+        self._owner, self._depth, self._waiters = 0, 0, Waiters(self._of_program.turns)
 
     reentrant = False
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        if self._depth and not (self.reentrant and self._owner == self._program.get_ident()):
+        if self._depth and not (self.reentrant and self._owner == self._of_program.get_ident()):
             if not blocking or not self._waiters.wait_s(None if timeout < 0 else timeout):
                 return False  # otherwise who released it left it held, for this thread
-            self._owner = self._program.get_ident()
+            self._owner = self._of_program.get_ident()
             return True
-        self._owner, self._depth = self._program.get_ident(), self._depth + 1
+        self._owner, self._depth = self._of_program.get_ident(), self._depth + 1
         return True
 
     def release(self) -> None:
-        if not self._depth or (self.reentrant and self._owner != self._program.get_ident()):
+        if not self._depth or (self.reentrant and self._owner != self._of_program.get_ident()):
             raise RuntimeError("cannot release un-acquired lock" if self.reentrant else "release unlocked lock")
         if self._depth > 1:
             self._depth -= 1
@@ -124,8 +124,8 @@ class Condition(OfProgram):
     """Threads that wait until another one tells them that something has changed."""
 
     def __init__(self, lock: Any = None) -> None:
-        self._lock = self._program.kinds[RLock]() if lock is None else lock
-        self._waiters = Waiters(self._program.turns)
+        self._lock = self._of_program.kinds[RLock]() if lock is None else lock
+        self._waiters = Waiters(self._of_program.turns)
         self.acquire, self.release = self._lock.acquire, self._lock.release
 
     def __enter__(self) -> Any:
@@ -144,7 +144,7 @@ class Condition(OfProgram):
             self._lock.take_back(depth)
 
     def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
-        turns = self._program.turns
+        turns = self._of_program.turns
         end, found = turns.until(timeout), predicate()
         while not found and (end is None or turns.now_ns < end):
             self.wait(None if end is None else (end - turns.now_ns) / NS)
@@ -166,7 +166,7 @@ class Event(OfProgram):
     """A flag to wait for."""
 
     def __init__(self) -> None:
-        self._set, self._waiters = False, Waiters(self._program.turns)
+        self._set, self._waiters = False, Waiters(self._of_program.turns)
 
     def is_set(self) -> bool:
         return self._set
@@ -190,7 +190,7 @@ class Semaphore(OfProgram):
     def __init__(self, value: int = 1) -> None:
         if value < 0:
             raise ValueError("semaphore initial value must be >= 0")
-        self._value, self._waiters = value, Waiters(self._program.turns)
+        self._value, self._waiters = value, Waiters(self._of_program.turns)
 
     def acquire(self, blocking: bool = True, timeout: float | None = None) -> bool:
         if self._value:
@@ -230,7 +230,7 @@ class Barrier(OfProgram):
 
     def __init__(self, parties: int, action: Callable[[], object] | None = None, timeout: float | None = None) -> None:
         self.parties, self._action, self._timeout = parties, action, timeout
-        self.n_waiting, self.broken, self._waiters = 0, False, Waiters(self._program.turns)
+        self.n_waiting, self.broken, self._waiters = 0, False, Waiters(self._of_program.turns)
 
     def wait(self, timeout: float | None = None) -> int:
         if self.broken:
@@ -264,18 +264,18 @@ class Thread(OfProgram):
         args: Any = (), kwargs: Mapping[str, Any] | None = None, *, daemon: bool | None = None,
     ) -> None:  # fmt: skip
         self._target, self._args, self._kwargs = target, tuple(args), dict(kwargs or {})
-        self.name = name or f"Thread-{next(self._program.numbers)}"
+        self.name = name or f"Thread-{next(self._of_program.numbers)}"
         self.daemon = bool(daemon)
         self.ident: int | None = None
-        self._over, self._waiters = False, Waiters(self._program.turns)
+        self._over, self._waiters = False, Waiters(self._of_program.turns)
 
     native_id = property(lambda self: self.ident)
 
     def start(self) -> None:
         if self.ident is not None:
             raise RuntimeError("threads can only be started once")
-        self.ident = self._program.turns.start(self._bootstrap).ident
-        self._program.known[self.ident] = self
+        self.ident = self._of_program.turns.start(self._bootstrap).ident
+        self._of_program.known[self.ident] = self
 
     def _bootstrap(self) -> None:
         try:
@@ -283,10 +283,10 @@ class Thread(OfProgram):
         except SystemExit:
             pass
         except Exception:
-            self._program.write_error(f"Exception in thread {self.name}:\n{traceback.format_exc()}")
+            self._of_program.write_error(f"Exception in thread {self.name}:\n{traceback.format_exc()}")
         finally:
             self._over = True
-            self._program.known.pop(self.ident or 0, None)
+            self._of_program.known.pop(self.ident or 0, None)
             self._waiters.wake()
 
     def run(self) -> None:
@@ -324,7 +324,7 @@ class Timer(Thread):
     ) -> None:  # fmt: skip
         super().__init__()
         self.interval, self.function, self.args, self.kwargs = interval, function, args or (), kwargs or {}
-        self.finished = self._program.kinds[Event]()
+        self.finished = self._of_program.kinds[Event]()
 
     def cancel(self) -> None:
         self.finished.set()
@@ -352,7 +352,7 @@ class Local(OfProgram):
 def _own_values(local: Local) -> dict[str, Any]:
     """What a `Local` has for the thread whose turn it is."""
     values: dict[int, dict[str, Any]] = object.__getattribute__(local, "_values")
-    return values.setdefault(type(local)._program.get_ident(), {})
+    return values.setdefault(type(local)._of_program.get_ident(), {})
 
 
 def threading_module(turns: Turns, write_error: Callable[[str], object]) -> ModuleType:

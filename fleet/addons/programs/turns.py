@@ -143,11 +143,6 @@ class Turns:
             if thread.task.dead:
                 self._threads.remove(thread)
 
-    @property
-    def idle(self) -> bool:
-        """Whether no thread will ever run again by itself."""
-        return not self._ready and not any(each.waiting and each.waits == n for _, _, each, n in self._alarms)
-
     def call(self, function: Callable[..., Any], *arguments: Any) -> None:
         """Let a thread of its own call a function of the program, as a library's thread would."""
         self.start(lambda: function(*arguments))

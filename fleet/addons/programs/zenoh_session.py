@@ -68,13 +68,6 @@ class Zenoh:
         if not key.startswith(OWN):
             self.send(message)
 
-    def matched(self, key: str, own: Sequence[Declaration]) -> bool:
-        """Whether something hears a key: of this program itself, or of anybody, if there is somebody.
-
-        Who hears this agent, and what they have declared, is not known: those that it hears are taken for them.
-        """
-        return bool(self.hears) or any(intersects(each.key_expr, key) for each in own)
-
     def hears_of_itself(self) -> bool:
         """Whether the program listens to where its vehicle is."""
         return any(intersects(each.key_expr, NAVIGATION) for each in self.subscribers)

@@ -10,7 +10,7 @@ from itertools import count
 from types import ModuleType
 from typing import Any, ClassVar
 
-from fleet.addons.programs.standard import NO_SOCKETS, Function
+from fleet.addons.programs.standard import NO_SOCKETS, Function, stand_in
 from fleet.addons.programs.turns import Turns, Waiters
 
 EVERYBODY = 0
@@ -222,17 +222,13 @@ def socket_module(datagrams: Datagrams) -> ModuleType:
     def refuse(*_: Any, **__: Any) -> Any:
         raise OSError(NO_SOCKETS)
 
-    made = ModuleType("socket")
-    vars(made).update(vars(real_socket))
-    vars(made).update(
-        dict.fromkeys(("create_connection", "create_server", "socketpair", "fromfd", "getaddrinfo"), refuse)
-    )
-    vars(made).update(
-        socket=own, SocketType=own, gethostname=lambda: f"agent{book.own}", getfqdn=lambda name="": name,
+    streams = ("create_connection", "create_server", "socketpair", "fromfd", "getaddrinfo")
+    return stand_in(
+        real_socket, **dict.fromkeys(streams, refuse), socket=own, SocketType=own,
+        gethostname=lambda: f"agent{book.own}", getfqdn=lambda name="": name,
         gethostbyname=lambda host: book.shown(book.agent(host, 0), 0)[0],
         setdefaulttimeout=own.setdefaulttimeout, getdefaulttimeout=own.getdefaulttimeout,
     )  # fmt: skip
-    return made
 
 
 def select_module(datagrams: Datagrams) -> ModuleType:
@@ -251,6 +247,4 @@ def select_module(datagrams: Datagrams) -> ModuleType:
                 break
         return found, write, []
 
-    made = ModuleType("select")
-    vars(made).update(select=Function(select), error=OSError)
-    return made
+    return stand_in(ModuleType("select"), select=Function(select), error=OSError)

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from fleet.addons.programs.datagrams import Address, Datagrams
-from fleet.addons.programs.standard import NO_PROCESSES, NO_SOCKETS
+from fleet.addons.programs.standard import NO_PROCESSES, NO_SOCKETS, stand_in
 from fleet.addons.programs.turns import NS, ProgramThread, Turns
 
 _Base: Any = base_events.BaseEventLoop  # its methods differ in their types from version to version
@@ -258,11 +258,8 @@ async def _at_once(function: Callable[..., Any], /, *args: Any, **named: Any) ->
 def asyncio_module(turns: Turns, datagrams: Datagrams, shuffle: Random | None) -> ModuleType:
     """The module `asyncio` of one program, whose loops are `ProgramLoop`."""
     loops = Loops(partial(ProgramLoop, turns, datagrams, shuffle))
-    made = ModuleType("asyncio")
-    vars(made).update(vars(asyncio))
-    vars(made).update(
-        run=loops.run, Runner=partial(Runner, loops), new_event_loop=loops.make, get_event_loop=loops.get,
+    return stand_in(
+        asyncio, run=loops.run, Runner=partial(Runner, loops), new_event_loop=loops.make, get_event_loop=loops.get,
         set_event_loop=loops.set, SelectorEventLoop=loops.make, to_thread=_at_once,
         set_event_loop_policy=lambda _: None,
     )  # fmt: skip
-    return made

@@ -19,6 +19,7 @@ from fleet.addons.programs.ros_node import (
     Timer,
 )
 from fleet.addons.programs.ros_time import Clock, ClockType, Duration, Time
+from fleet.addons.programs.standard import stand_in
 from fleet.addons.programs.turns import NS
 
 
@@ -182,8 +183,7 @@ def rclpy_modules(ros: Ros) -> dict[str, ModuleType]:
     top.__path__ = []
     made = {"rclpy": top}
     for name, values in _parts(ros, node, executor).items():
-        made[f"rclpy.{name}"] = module = ModuleType(f"rclpy.{name}")
-        vars(module).update(values)
+        made[f"rclpy.{name}"] = module = stand_in(ModuleType(f"rclpy.{name}"), **values)
         setattr(top, name, module)
     vars(top).update(_functions(ros, executor()), create_node=node, Parameter=Parameter, Future=Future)
     vars(top).update(get_global_executor=executor, __getattr__=_missing)

@@ -8,6 +8,7 @@ from itertools import count
 from types import ModuleType
 from typing import Any, ClassVar
 
+from fleet.addons.programs.standard import stand_in
 from fleet.addons.programs.turns import MAX_S, NS, Turns, Waiters
 
 
@@ -19,12 +20,11 @@ def thread_module(threading: ModuleType) -> ModuleType:
         thread.start()
         return int(thread.ident)
 
-    made = ModuleType("_thread")
-    vars(made).update(
-        start_new_thread=start, allocate_lock=threading.Lock, LockType=threading.Lock, RLock=threading.RLock,
-        get_ident=threading.get_ident, get_native_id=threading.get_ident, error=RuntimeError, TIMEOUT_MAX=MAX_S,
+    return stand_in(
+        ModuleType("_thread"), start_new_thread=start, allocate_lock=threading.Lock, LockType=threading.Lock,
+        RLock=threading.RLock, get_ident=threading.get_ident, get_native_id=threading.get_ident, error=RuntimeError,
+        TIMEOUT_MAX=MAX_S,
     )  # fmt: skip
-    return made
 
 
 class Threads:
@@ -366,12 +366,10 @@ def threading_module(turns: Turns, write_error: Callable[[str], object]) -> Modu
         The module.
     """
     threads = Threads(turns, write_error)
-    made = ModuleType("threading")
-    vars(made).update({kind.__name__: own for kind, own in threads.kinds.items()})
-    vars(made).update(
+    return stand_in(
+        ModuleType("threading"), **{kind.__name__: own for kind, own in threads.kinds.items()},
         local=threads.kinds[Local], BrokenBarrierError=BrokenBarrierError, current_thread=threads.current,
         currentThread=threads.current, main_thread=lambda: threads.main, enumerate=threads.every,
         active_count=lambda: len(threads.every()), get_ident=threads.get_ident, get_native_id=threads.get_ident,
         TIMEOUT_MAX=MAX_S, ThreadError=RuntimeError, _register_atexit=lambda call, *_, **__: None,
     )  # fmt: skip
-    return made

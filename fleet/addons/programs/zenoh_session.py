@@ -9,6 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from fleet.addons.programs import zenoh_values
+from fleet.addons.programs.standard import stand_in
 from fleet.addons.programs.turns import NS, Turns
 from fleet.addons.programs.zenoh_values import (
     Callback,
@@ -471,16 +472,14 @@ def zenoh_module(zenoh: Zenoh) -> ModuleType:
     def __getattr__(name: str) -> Any:  # noqa: N807
         raise AttributeError(f"zenoh.{name} is not there in lockstep; fleet netem runs the program with zenoh itself")
 
-    handlers = ModuleType("zenoh.handlers")
-    vars(handlers).update(
-        FifoChannel=FifoChannel, RingChannel=RingChannel, Callback=Callback, DefaultHandler=FifoChannel
-    )
-    made = ModuleType("zenoh")
+    handlers = stand_in(
+        ModuleType("zenoh.handlers"), FifoChannel=FifoChannel, RingChannel=RingChannel, Callback=Callback,
+        DefaultHandler=FifoChannel,
+    )  # fmt: skip
     kinds = (Session, Query, Queryable, Subscriber, Publisher, Querier, Liveliness)
-    vars(made).update(zenoh_values.VALUES | {kind.__name__: kind for kind in kinds})
-    vars(made).update(
+    return stand_in(
+        ModuleType("zenoh"), **zenoh_values.VALUES, **{kind.__name__: kind for kind in kinds},
         ZError=ZenohError, KeyExpr=key_expression, Selector=lambda key, parameters="": f"{key}?{parameters}",
         open=lambda config=None: Session(zenoh), try_init_log_from_env=lambda: None, handlers=handlers,
         init_log_from_env_or=lambda _: None, __getattr__=__getattr__,
     )  # fmt: skip
-    return made

@@ -7,7 +7,7 @@ from math import sin
 from agents.api import Nav, Vec3
 from world.vehicle_params import VehicleParams
 
-GAIN = 1.0  # 1/s: an error of velocity is gone to 1/e after a second; an assumption of ours
+GAIN = 1.0  # 1/s: an error of velocity falls to 1/e in a second; an assumption of ours
 
 
 def velocity_demand(vehicle: VehicleParams, velocity: Vec3, nav: Nav) -> Vec3:

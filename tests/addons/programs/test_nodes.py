@@ -219,6 +219,12 @@ def test_a_twist_gives_the_vehicle_its_velocity(
     assert lines(result)[0] == "1 v"
 
 
+def test_a_command_that_is_not_finite_ends_the_run(run: RunProgram) -> None:
+    pytest.importorskip("rosbags")
+    result = run(ROS_VELOCITY.format(surge="float('nan')", turn=0.0, stamped=False))
+    assert result.status is Status.BROKEN and "every number must be finite" in result.reason, result.reason
+
+
 def test_nodes_have_the_same_bytes_in_processes_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rosbags")
     monkeypatch.chdir(tmp_path)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
@@ -27,11 +28,13 @@ from agents.api import (
     unpack,
 )
 from fleet.addons.programs import standard
-from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, socket_module
+from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, select_module, socket_module
 from fleet.addons.programs.event_loop import asyncio_module, loop_aside
 from fleet.addons.programs.import_space import ImportSpace
+from fleet.addons.programs.ros_packages import interface
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
+from fleet.addons.programs.velocity import velocity_demand
 from fleet.addons.programs.zenoh_session import TOKEN, Zenoh, zenoh_module
 from fleet.errors import FleetError
 from fleet.quantities import time_ns
@@ -141,7 +144,7 @@ class ProgramAgent:
 
     def __del__(self) -> None:
         life = getattr(self, "_life", None)
-        if life is None or life.turns.over:
+        if life is None or life.turns.over or sys.is_finalizing():
             return
         with loop_aside():  # it may be the turn of another program
             life.turns.end()
@@ -161,7 +164,7 @@ class ProgramAgent:
             with loop_aside():
                 self._advance(now_ns)
             self._busy_until_ns = now_ns + self._cost_ns
-        return tau if self._life.tau is None else self._life.tau, self._life.values
+        return self._life.demand(nav) or tau, self._life.values
 
     def _advance(self, now_ns: int) -> None:
         if not self._limited or threading.current_thread() is not threading.main_thread():
@@ -202,7 +205,7 @@ class ProgramLife:
         self._ros: Any = None  # made when the program imports rclpy, which needs the extra `ros2`
         self._tokens_ns = 0
         self._begun = False
-        self.tau: Vec3 | None = None  # as the program commands; None: it has commanded nothing
+        self._commanded: Callable[[Nav], Vec3] | None = None  # forces as the program commands; None: it has not yet
         self._zenoh.command = self._command
         self._output = standard.Output(self._hear_line)
         self._write_line = line_writer(f"agent-{config.id}.log")
@@ -226,10 +229,16 @@ class ProgramLife:
         if self._ros is not None:
             self._ros.tell_odometry(self.turns.now_ns, nav)
 
-    def _command(self, force: float, pitch: float, yaw: float) -> None:
-        if not all(map(isfinite, (force, pitch, yaw))):
-            raise ProgramFailed(f"it commands {(force, pitch, yaw)}: every number must be finite")
-        self.tau = (float(force), float(pitch), float(yaw))
+    def demand(self, nav: Nav) -> Vec3 | None:
+        """Surge force [N], pitch and yaw moment [N m] as the program commands; None: it has commanded nothing."""
+        return None if self._commanded is None else self._commanded(nav)
+
+    def _command(self, *forces: float) -> None:
+        tau = _finite(forces)
+        self._commanded = lambda _: tau
+
+    def _command_velocity(self, *velocity: float) -> None:
+        self._commanded = partial(velocity_demand, self._config.vehicle, _finite(velocity))
 
     def sent(self) -> list[bytes]:
         """What the program has sent, and its tokens again and again, since the water may lose them."""
@@ -253,6 +262,7 @@ class ProgramLife:
             "threading": partial(threading_module, turns, output.write),
             "_thread": lambda: thread_module(space.load("threading")),
             "socket": partial(socket_module, self._datagrams),
+            "select": partial(select_module, self._datagrams),
             "asyncio": partial(asyncio_module, turns, self._datagrams, shuffle),
             "zenoh": partial(zenoh_module, self._zenoh),
             "zenoh.handlers": lambda: space.load("zenoh").handlers,
@@ -274,12 +284,13 @@ class ProgramLife:
 
     def _of_ros(self, name: str) -> ModuleType | None:
         if name.partition(".")[0] != "rclpy":
-            return interfaces(name)
-        from fleet.addons.programs.ros_node import Ros, rclpy_modules
+            return interface(name, self._file.parent)
+        from fleet.addons.programs.ros_modules import rclpy_modules
+        from fleet.addons.programs.ros_node import Ros
 
         if self._ros is None:
             self._ros = Ros(self.turns, self._config.id, partial(self._send, ROS), self._output.write)
-            self._ros.command = self._command
+            self._ros.command, self._ros.command_velocity = self._command, self._command_velocity
             self._rclpy_modules = rclpy_modules(self._ros)
         return self._rclpy_modules.get(name)
 
@@ -315,18 +326,11 @@ class ProgramLife:
             self._ros.hear(delivery.src, message)
 
 
-def interfaces(name: str) -> ModuleType | None:
-    """The module of messages or services of ROS 2, such as `std_msgs.msg`, or its package; None: it is another one."""
-    package, _, kind = name.partition(".")
-    if not package.endswith(("_msgs", "_srvs", "_interfaces")) or kind not in ("", "msg", "srv"):
-        return None
-    if kind:
-        from fleet.addons.programs.ros_messages import interface_module
-
-        return interface_module(name)
-    made = ModuleType(name)
-    made.__path__ = []
-    return made
+def _finite(command: Sequence[float]) -> Vec3:
+    if not all(map(isfinite, command)):
+        raise ProgramFailed(f"it commands {command}: every number must be finite")
+    surge, pitch, yaw = map(float, command)
+    return surge, pitch, yaw
 
 
 def _random(space: ImportSpace, stand_ins: dict[str, Any], chance: Random) -> ModuleType:

@@ -6,16 +6,18 @@ import re
 import socket as real_socket
 from collections import deque
 from collections.abc import Callable, Mapping
+from itertools import count
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
-from fleet.addons.programs.standard import NO_SOCKETS
+from fleet.addons.programs.standard import NO_SOCKETS, Function, stand_in
 from fleet.addons.programs.turns import Turns, Waiters
 
 EVERYBODY = 0
 MOST_WAITING = 4096  # datagrams that a socket holds; more are lost, as in a kernel
 MOST_BYTES = 65_507
 _FIRST_FREE = 49_152  # port that a socket gets that has asked for none
+_FIRST_FILE = 1 << 20  # number of the first socket as a file: none that the process has
 Address = tuple[str, int]
 
 
@@ -71,6 +73,9 @@ class Datagrams:
         """
         self.turns, self.book, self._send = turns, book, send
         self._bound: dict[int, Callable[[bytes, Address], None]] = {}
+        self.files: dict[int, deque[tuple[bytes, Address]]] = {}  # what has come to sockets, by their numbers
+        self.numbers = count(_FIRST_FILE)
+        self.selecting = Waiters(turns)  # threads that wait for any of several sockets
 
     def bind(self, port: int, hear: Callable[[bytes, Address], None]) -> int:
         """Hear what comes to a port; 0: any free one. Returns the port. Raises OSError: it is taken."""
@@ -101,117 +106,145 @@ class Datagrams:
             hear(data, self.book.shown(src, src_port))
 
 
+class Socket:
+    """A UDP socket; each program has the class for itself."""
+
+    _of_program: ClassVar[Datagrams]
+    _default_timeout: ClassVar[float | None] = None
+
+    @classmethod
+    def setdefaulttimeout(cls, timeout: float | None) -> None:
+        cls._default_timeout = timeout
+
+    @classmethod
+    def getdefaulttimeout(cls) -> float | None:
+        return cls._default_timeout
+
+    def __init__(self, family: int = -1, type: int = -1, proto: int = 0, fileno: Any = None) -> None:
+        kind = real_socket.SOCK_STREAM if type == -1 else type
+        if kind & 0xF != real_socket.SOCK_DGRAM or fileno is not None:
+            raise OSError(NO_SOCKETS)
+        self.family, self.type, self.proto = real_socket.AF_INET, real_socket.SOCK_DGRAM, proto
+        self._port, self._timeout = 0, self._default_timeout
+        self._peer: Address | None = None
+        self._got: deque[tuple[bytes, Address]] = deque()
+        self._waiting = Waiters(self._of_program.turns)
+        self._closed, self._file = False, next(self._of_program.numbers)
+        self._of_program.files[self._file] = self._got
+
+    def bind(self, address: Address) -> None:
+        self._port = self._of_program.bind(address[1], self._hear)
+
+    def _hear(self, data: bytes, source: Address) -> None:
+        if (self._peer is None or source[1] == self._peer[1]) and len(self._got) < MOST_WAITING:
+            self._got.append((data, source))
+            self._waiting.wake(1)
+            self._of_program.selecting.wake()
+
+    def _bound(self) -> int:
+        if not self._port:
+            self._port = self._of_program.bind(0, self._hear)
+        return self._port
+
+    def connect(self, address: Address) -> None:
+        self._of_program.book.agent(*address[:2])
+        self._peer = address
+
+    def sendto(self, data: Any, *more: Any) -> int:
+        self._of_program.send(bytes(data), self._bound(), more[-1])
+        return len(data)
+
+    def send(self, data: Any, flags: int = 0) -> int:
+        if self._peer is None:
+            raise OSError(89, "Destination address required")
+        return self.sendto(data, self._peer)
+
+    sendall = send
+
+    def recvfrom(self, size: int, flags: int = 0) -> tuple[bytes, Address]:
+        self._bound()
+        if not self._got:
+            if self._timeout == 0.0:
+                raise BlockingIOError(11, "Resource temporarily unavailable")
+            if not self._waiting.wait_s(self._timeout) or not self._got:
+                if self._closed:
+                    raise OSError(9, "Bad file descriptor")
+                raise TimeoutError("timed out")
+        data, source = self._got.popleft()
+        return data[:size], source
+
+    def recv(self, size: int, flags: int = 0) -> bytes:
+        return self.recvfrom(size)[0]
+
+    def settimeout(self, timeout: float | None) -> None:
+        self._timeout = timeout
+
+    def gettimeout(self) -> float | None:
+        return self._timeout
+
+    def setblocking(self, flag: bool) -> None:
+        self._timeout = None if flag else 0.0
+
+    def getsockname(self) -> Address:
+        return self._of_program.book.shown(self._of_program.book.own, self._port)
+
+    def getpeername(self) -> Address:
+        if self._peer is None:
+            raise OSError(107, "Transport endpoint is not connected")
+        return self._peer
+
+    def setsockopt(self, *_: Any) -> None: ...
+
+    def getsockopt(self, *_: Any) -> int:
+        return 0
+
+    def fileno(self) -> int:
+        return -1 if self._closed else self._file
+
+    def close(self) -> None:
+        self._closed = True
+        self._of_program.close(self._port)
+        self._of_program.files.pop(self._file, None)
+        self._waiting.wake()
+
+    def __enter__(self) -> Socket:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
 def socket_module(datagrams: Datagrams) -> ModuleType:
     """The module `socket`: datagrams between agents, and nothing else."""
-    turns, book = datagrams.turns, datagrams.book
-
-    class Socket:
-        """A UDP socket."""
-
-        def __init__(self, family: int = -1, type: int = -1, proto: int = 0, fileno: Any = None) -> None:
-            kind = real_socket.SOCK_STREAM if type == -1 else type
-            if kind & 0xF != real_socket.SOCK_DGRAM or fileno is not None:
-                raise OSError(NO_SOCKETS)
-            self.family, self.type, self.proto = real_socket.AF_INET, real_socket.SOCK_DGRAM, proto
-            self._port, self._timeout = 0, default_timeout[0]
-            self._peer: Address | None = None
-            self._got: deque[tuple[bytes, Address]] = deque()
-            self._waiting = Waiters(turns)
-            self._closed = False
-
-        def bind(self, address: Address) -> None:
-            self._port = datagrams.bind(address[1], self._hear)
-
-        def _hear(self, data: bytes, source: Address) -> None:
-            if (self._peer is None or source[1] == self._peer[1]) and len(self._got) < MOST_WAITING:
-                self._got.append((data, source))
-                self._waiting.wake(1)
-
-        def _bound(self) -> int:
-            if not self._port:
-                self._port = datagrams.bind(0, self._hear)
-            return self._port
-
-        def connect(self, address: Address) -> None:
-            book.agent(*address[:2])
-            self._peer = address
-
-        def sendto(self, data: Any, *more: Any) -> int:
-            datagrams.send(bytes(data), self._bound(), more[-1])
-            return len(data)
-
-        def send(self, data: Any, flags: int = 0) -> int:
-            if self._peer is None:
-                raise OSError(89, "Destination address required")
-            return self.sendto(data, self._peer)
-
-        sendall = send
-
-        def recvfrom(self, size: int, flags: int = 0) -> tuple[bytes, Address]:
-            self._bound()
-            if not self._got:
-                if self._timeout == 0.0:
-                    raise BlockingIOError(11, "Resource temporarily unavailable")
-                if not self._waiting.wait(turns.until(self._timeout)) or not self._got:
-                    if self._closed:
-                        raise OSError(9, "Bad file descriptor")
-                    raise TimeoutError("timed out")
-            data, source = self._got.popleft()
-            return data[:size], source
-
-        def recv(self, size: int, flags: int = 0) -> bytes:
-            return self.recvfrom(size)[0]
-
-        def settimeout(self, timeout: float | None) -> None:
-            self._timeout = timeout
-
-        def gettimeout(self) -> float | None:
-            return self._timeout
-
-        def setblocking(self, flag: bool) -> None:
-            self._timeout = None if flag else 0.0
-
-        def getsockname(self) -> Address:
-            return book.shown(book.own, self._port)
-
-        def getpeername(self) -> Address:
-            if self._peer is None:
-                raise OSError(107, "Transport endpoint is not connected")
-            return self._peer
-
-        def setsockopt(self, *_: Any) -> None: ...
-
-        def getsockopt(self, *_: Any) -> int:
-            return 0
-
-        def fileno(self) -> int:
-            return -1
-
-        def close(self) -> None:
-            self._closed = True
-            datagrams.close(self._port)
-            self._waiting.wake()
-
-        def __enter__(self) -> Socket:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            self.close()
-
-    default_timeout: list[float | None] = [None]
+    book = datagrams.book
+    own: Any = type("socket", (Socket,), {"_of_program": datagrams})
 
     def refuse(*_: Any, **__: Any) -> Any:
         raise OSError(NO_SOCKETS)
 
-    made = ModuleType("socket")
-    vars(made).update(vars(real_socket))
-    vars(made).update(
-        dict.fromkeys(("create_connection", "create_server", "socketpair", "fromfd", "getaddrinfo"), refuse)
-    )
-    vars(made).update(
-        socket=Socket, SocketType=Socket, gethostname=lambda: f"agent{book.own}",
-        gethostbyname=lambda host: book.shown(book.agent(host, 0), 0)[0], getfqdn=lambda name="": name,
-        setdefaulttimeout=lambda seconds: default_timeout.__setitem__(0, seconds),
-        getdefaulttimeout=lambda: default_timeout[0],
+    streams = ("create_connection", "create_server", "socketpair", "fromfd", "getaddrinfo")
+    return stand_in(
+        real_socket, **dict.fromkeys(streams, refuse), socket=own, SocketType=own,
+        gethostname=lambda: f"agent{book.own}", getfqdn=lambda name="": name,
+        gethostbyname=lambda host: book.shown(book.agent(host, 0), 0)[0],
+        setdefaulttimeout=own.setdefaulttimeout, getdefaulttimeout=own.getdefaulttimeout,
     )  # fmt: skip
-    return made
+
+
+def select_module(datagrams: Datagrams) -> ModuleType:
+    """The module `select`, for sockets of `socket_module`. Python's `selectors` makes do with its `select`."""
+
+    def readable(each: Any) -> bool:
+        number = each if isinstance(each, int) else each.fileno()
+        if number not in datagrams.files:
+            raise OSError(9, "Bad file descriptor: only sockets of UDP can be waited for in lockstep")
+        return bool(datagrams.files[number])
+
+    def select(rlist: Any, wlist: Any, xlist: Any, timeout: float | None = None) -> tuple[list[Any], ...]:
+        until, read, write = datagrams.turns.until(timeout), [*rlist], [*wlist]  # they can always be written to
+        while not (found := [each for each in read if readable(each)]) and not write:
+            if timeout == 0 or not datagrams.selecting.wait(until):
+                break
+        return found, write, []
+
+    return stand_in(ModuleType("select"), select=Function(select), error=OSError)

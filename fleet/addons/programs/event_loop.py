@@ -8,12 +8,13 @@ from asyncio import base_events, events
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from random import Random
 from types import ModuleType
 from typing import Any
 
 from fleet.addons.programs.datagrams import Address, Datagrams
-from fleet.addons.programs.standard import NO_PROCESSES, NO_SOCKETS
+from fleet.addons.programs.standard import NO_PROCESSES, NO_SOCKETS, stand_in
 from fleet.addons.programs.turns import NS, ProgramThread, Turns
 
 _Base: Any = base_events.BaseEventLoop  # its methods differ in their types from version to version
@@ -187,69 +188,78 @@ class DatagramEndpoint(asyncio.DatagramTransport):
         return self._closed
 
 
-def asyncio_module(turns: Turns, datagrams: Datagrams, shuffle: Random | None) -> ModuleType:
-    """The module `asyncio` of one program, whose loops are `ProgramLoop`."""
+class Loops:
+    """The loops of one program, and which of them is its current one."""
 
-    def new_event_loop() -> ProgramLoop:
-        return ProgramLoop(turns, datagrams, shuffle)
+    def __init__(self, make: Callable[[], ProgramLoop]) -> None:
+        self.make = make
+        self.current: ProgramLoop | None = None
 
-    current: list[ProgramLoop | None] = [None]
-
-    def get_event_loop() -> Any:
-        running = events._get_running_loop()
-        if running is not None:
+    def get(self) -> Any:
+        """The loop that runs, or else the current one; there is always one."""
+        if (running := events._get_running_loop()) is not None:
             return running
-        if current[0] is None:
-            current[0] = new_event_loop()
-        return current[0]
+        if self.current is None:
+            self.current = self.make()
+        return self.current
 
-    def run(main: Any, *, debug: bool | None = None, **_: Any) -> Any:
-        with Runner(debug=debug) as runner:
+    def set(self, loop: Any) -> None:
+        """Make a loop the current one."""
+        self.current = loop
+
+    def run(self, main: Any, *, debug: bool | None = None, **_: Any) -> Any:
+        """Run a coroutine in a loop of its own."""
+        with Runner(self, debug=debug) as runner:
             return runner.run(main)
 
-    class Runner:
-        """As asyncio's, but for signals."""
 
-        def __init__(self, *, debug: bool | None = None, loop_factory: Any = None) -> None:
-            self._loop = (loop_factory or new_event_loop)()
-            if debug:
-                self._loop.set_debug(True)
+class Runner:
+    """As asyncio's, but for signals."""
 
-        def __enter__(self) -> Runner:
-            return self
+    def __init__(self, loops: Loops, *, debug: bool | None = None, loop_factory: Any = None) -> None:
+        self._loops, self._loop = loops, (loop_factory or loops.make)()
+        if debug:
+            self._loop.set_debug(True)
 
-        def __exit__(self, *_: object) -> None:
-            self.close()
+    def __enter__(self) -> Runner:
+        return self
 
-        def get_loop(self) -> Any:
-            return self._loop
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
-        def run(self, coro: Any, *, context: Any = None) -> Any:
-            current[0] = self._loop
-            task = self._loop.create_task(coro)
-            return self._loop.run_until_complete(task)
+    def get_loop(self) -> Any:
+        """Its loop."""
+        return self._loop
 
-        def close(self) -> None:
-            loop = self._loop
-            if loop.is_closed():
-                return
-            left = asyncio.all_tasks(loop)
-            for task in left:
-                task.cancel()
-            if left:
-                loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
-            loop.run_until_complete(loop.shutdown_asyncgens())
-            loop.close()
-            current[0] = None
+    def run(self, coro: Any, *, context: Any = None) -> Any:
+        """Run a coroutine to its end."""
+        self._loops.set(self._loop)
+        return self._loop.run_until_complete(self._loop.create_task(coro))
 
-    async def to_thread(function: Callable[..., Any], /, *args: Any, **named: Any) -> Any:
-        return function(*args, **named)
+    def close(self) -> None:
+        """Cancel what is left, and end the loop."""
+        loop = self._loop
+        if loop.is_closed():
+            return
+        left = asyncio.all_tasks(loop)
+        for task in left:
+            task.cancel()
+        if left:
+            loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
+        loop.run_until_complete(loop.shutdown_asyncgens())
+        loop.close()
+        self._loops.set(None)
 
-    made = ModuleType("asyncio")
-    vars(made).update(vars(asyncio))
-    vars(made).update(
-        run=run, Runner=Runner, new_event_loop=new_event_loop, get_event_loop=get_event_loop,
-        set_event_loop=lambda loop: current.__setitem__(0, loop), SelectorEventLoop=new_event_loop,
-        to_thread=to_thread, set_event_loop_policy=lambda _: None,
+
+async def _at_once(function: Callable[..., Any], /, *args: Any, **named: Any) -> Any:
+    return function(*args, **named)
+
+
+def asyncio_module(turns: Turns, datagrams: Datagrams, shuffle: Random | None) -> ModuleType:
+    """The module `asyncio` of one program, whose loops are `ProgramLoop`."""
+    loops = Loops(partial(ProgramLoop, turns, datagrams, shuffle))
+    return stand_in(
+        asyncio, run=loops.run, Runner=partial(Runner, loops), new_event_loop=loops.make, get_event_loop=loops.get,
+        set_event_loop=loops.set, SelectorEventLoop=loops.make, to_thread=_at_once,
+        set_event_loop_policy=lambda _: None,
     )  # fmt: skip
-    return made

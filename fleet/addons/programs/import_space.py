@@ -24,7 +24,7 @@ MakeModule = Callable[[], ModuleType]
 OWN_OF_PYTHON = frozenset(
     (
         *("_strptime", "argparse", "cmd", "concurrent", "dataclasses", "fileinput", "logging", "optparse", "pprint"),
-        *("queue", "random", "sched", "secrets", "traceback", "uuid"),
+        *("queue", "random", "sched", "secrets", "selectors", "traceback", "uuid"),
     )
 )
 # Parts in C that the Python of these modules does without, and must.
@@ -51,7 +51,7 @@ class ImportSpace:
         Args:
             folder: where the program lies, the first place where modules are looked for.
             stand_ins: what makes the module of a name, by name.
-            refused: why a module cannot be had, by its first name.
+            refused: why a module cannot be had, by its first name or its whole one.
             own_builtins: in place of Python's.
             shared: further packages that all programs share, by their first name.
         """
@@ -89,8 +89,8 @@ class ImportSpace:
             return make()
         if (made := self.make_others(name)) is not None:
             return made
-        if first in self._refused:
-            raise RefusedImport(f"{name}: {self._refused[first]}", name=name)
+        if why := self._refused.get(name) or self._refused.get(first):
+            raise RefusedImport(f"{name}: {why}", name=name)
         if name in _WITHOUT:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         spec = self._spec(name, first, parent)

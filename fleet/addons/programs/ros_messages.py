@@ -8,42 +8,29 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fleet.addons.programs.ros_packages import Definitions
 from fleet.addons.robots.ros2.types import RosTypes, types_of
 
-# Services that rosbags has no definitions of.
-_SERVICES = {
+# Packages of ROS that rosbags has no definitions of.
+_EXAMPLES = {
     "std_srvs/srv/Empty": "---\n",
     "std_srvs/srv/Trigger": "---\nbool success\nstring message\n",
     "std_srvs/srv/SetBool": "bool data\n---\nbool success\nstring message\n",
     "example_interfaces/srv/AddTwoInts": "int64 a\nint64 b\n---\nint64 sum\n",
+    **{
+        f"example_interfaces/msg/{kind.capitalize()}": f"{kind} data\n"
+        for kind in ("bool", "int32", "int64", "float64", "string")
+    },
 }
-_MESSAGES = {
-    f"example_interfaces/msg/{name}": f"{kind} data\n"
-    for name, kind in {
-        "Bool": "bool",
-        "Int32": "int32",
-        "Int64": "int64",
-        "Float64": "float64",
-        "String": "string",
-    }.items()
-}
-
-
-@cache
-def known_types() -> RosTypes:
-    """The types of the usual distribution, with some of its examples. Raises FleetError: the extra is not there."""
-    types = types_of()
-    for name, text in _SERVICES.items():
-        types.add_service(name, text)
-    for name, text in _MESSAGES.items():
-        types.add_message(name, text)
-    return types
 
 
 class RosMessage:
-    """A message. Its class has `name`, such as `std_msgs/msg/String`, and `fields`, with the maker of each default."""
+    """A message. Its class has `name`, such as `std_msgs/msg/String`, `interfaces`, which know it, and `fields`, with
+    the maker of each default.
+    """
 
     name: ClassVar[str] = ""
+    interfaces: ClassVar[Interfaces]
     fields: ClassVar[dict[str, Any]] = {}
 
     def __init__(self, **values: Any) -> None:
@@ -71,44 +58,87 @@ class RosMessage:
         return dict.fromkeys(cls.fields, "")
 
 
+class Interfaces:
+    """The messages and services that a program knows: of the usual distribution, of some examples, and its own."""
+
+    def __init__(self, own: Definitions) -> None:
+        """Read the definitions. Raises FleetError: the extra is not there."""
+        self.types = RosTypes(types_of().distribution)  # not those that others use, since some are added
+        self._made: dict[str, type[RosMessage]] = {}
+        for name, text in (*_EXAMPLES.items(), *own):
+            add = self.types.add_service if "/srv/" in name else self.types.add_message
+            add(name, text)
+
+    def message_class(self, name: str) -> type[RosMessage]:
+        """The class of a type, such as `geometry_msgs/msg/Twist`; all programs share those that are not their own.
+
+        Raises KeyError: nobody knows the type.
+        """
+        usual = interfaces()
+        if self is not usual and name in usual.types.store.fielddefs:
+            return usual.message_class(name)
+        if name not in self._made:
+            constants, fields = self.types.store.fielddefs[name]
+            values = {constant: value for constant, _, value in constants}
+            makers = {field: self._default(kind) for field, kind in fields}
+            values |= {"name": name, "interfaces": self, "fields": makers}
+            self._made[name] = type(name.rpartition("/")[2], (RosMessage,), values)
+        return self._made[name]
+
+    def service_class(self, name: str) -> type:
+        """The class of a service, such as `std_srvs/srv/Trigger`. Raises KeyError: nobody knows it."""
+        parts = {part: self.message_class(f"{name}_{part}") for part in ("Request", "Response")}
+        return type(name.rpartition("/")[2], (), {"name": name, **parts})
+
+    def _default(self, kind: Any) -> Any:
+        """What makes the default of a field, by its type as rosbags describes it."""
+        node, about = int(kind[0]), kind[1]
+        if node == 1:  # a base type
+            base = about[0]
+            return {"string": str, "wstring": str, "bool": bool, "float32": float, "float64": float}.get(base, int)
+        if node == 2:  # another message
+            return lambda: self.message_class(about)()
+        inner, size = about[0], about[1] if node == 3 else 0
+        one = self._default(inner)
+        return lambda: [one() for _ in range(size)]
+
+    def rich(self, found: Any, name: str) -> RosMessage:
+        """A message as a program has it, of one of rosbags."""
+        _, fields = self.types.store.fielddefs[name]
+        values = {field: self._unpacked(getattr(found, field), kind) for field, kind in fields}
+        return self.message_class(name)(**values)
+
+    def _unpacked(self, value: Any, kind: Any) -> Any:
+        node, about = int(kind[0]), kind[1]
+        if node == 1:
+            return value
+        if node == 2:
+            return self.rich(value, about)
+        if isinstance(value, np.ndarray):
+            return value.tolist()
+        return [self._unpacked(each, about[0]) for each in value]
+
+
 @cache
-def message_class(name: str) -> type[RosMessage]:
-    """The class of a type, such as `geometry_msgs/msg/Twist`. Raises KeyError: nobody knows the type."""
-    constants, fields = known_types().store.fielddefs[name]
-    made: Any = type(name.rpartition("/")[2], (RosMessage,), {"name": name, "fields": {}})
-    for constant, _, value in constants:
-        setattr(made, constant, value)
-    made.fields = {field: _default(kind) for field, kind in fields}
-    return made  # type: ignore[no-any-return]
-
-
-def _default(kind: Any) -> Any:
-    """What makes the default of a field, by its type as rosbags describes it."""
-    node, about = int(kind[0]), kind[1]
-    if node == 1:  # a base type
-        base = about[0]
-        return {"string": str, "wstring": str, "bool": bool, "float32": float, "float64": float}.get(base, int)
-    if node == 2:  # another message
-        return lambda: message_class(about)()
-    inner, size = about[0], about[1] if node == 3 else 0
-    one = _default(inner)
-    return lambda: [one() for _ in range(size)]
+def interfaces(own: Definitions = ()) -> Interfaces:
+    """The types that programs with some definitions of their own know. Raises FleetError: the extra is not there."""
+    return Interfaces(own)
 
 
 def to_cdr(message: RosMessage) -> bytes:
     """The bytes of a message. Raises TypeError, ValueError: a field has a value of another type."""
-    return known_types().encode(message.name, _plain(message))
+    return message.interfaces.types.encode(message.name, _plain(message))
 
 
-def from_cdr(name: str, data: bytes) -> RosMessage:
-    """A message from its bytes. Raises ValueError: they are none of it."""
-    return _rich(known_types().decode(name, data), name)
+def from_cdr(kind: type[RosMessage], data: bytes) -> RosMessage:
+    """A message of a class from its bytes. Raises ValueError: they are none of it."""
+    return kind.interfaces.rich(kind.interfaces.types.decode(kind.name, data), kind.name)
 
 
 def _plain(message: RosMessage) -> Any:
-    _, fields = known_types().store.fielddefs[message.name]
-    values = {field: _packed(getattr(message, field), kind) for field, kind in fields}
-    return known_types().new(message.name, **values)
+    types = message.interfaces.types
+    _, fields = types.store.fielddefs[message.name]
+    return types.new(message.name, **{field: _packed(getattr(message, field), kind) for field, kind in fields})
 
 
 _ARRAYS = {"bool": np.bool_, "byte": np.uint8, "char": np.uint8, "float32": np.float32, "float64": np.float64} | {
@@ -128,41 +158,31 @@ def _packed(value: Any, kind: Any) -> Any:
     return [_packed(each, inner) for each in value]
 
 
-def _rich(found: Any, name: str) -> RosMessage:
-    _, fields = known_types().store.fielddefs[name]
-    return message_class(name)(**{field: _unpacked(getattr(found, field), kind) for field, kind in fields})
+def interface_module(package: str, kind: str, own: Definitions) -> ModuleType:
+    """A module such as `std_msgs.msg` or `std_srvs.srv`, whose classes are made when they are asked for.
 
+    Args:
+        package: of the messages or services.
+        kind: `msg` or `srv`.
+        own: definitions of the program's own.
 
-def _unpacked(value: Any, kind: Any) -> Any:
-    node, about = int(kind[0]), kind[1]
-    if node == 1:
-        return value
-    if node == 2:
-        return _rich(value, about)
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return [_unpacked(each, about[0]) for each in value]
-
-
-def interface_module(name: str) -> ModuleType:
-    """A module such as `std_msgs.msg` or `std_srvs.srv`, whose classes are made when they are asked for."""
-    package, _, kind = name.partition(".")
+    Returns:
+        The module.
+    """
+    known = interfaces(own)
+    make = known.service_class if kind == "srv" else known.message_class
 
     def __getattr__(each: str) -> Any:  # noqa: N807
         whole = f"{package}/{kind}/{each}"
         if each.startswith("_"):
             raise AttributeError(each)
         try:
-            if kind == "srv":
-                parts = {part: message_class(f"{whole}_{part}") for part in ("Request", "Response")}
-                made: Any = type(each, (), {"name": whole, **parts})
-            else:
-                made = message_class(whole)
+            made = make(whole)
         except KeyError:
             raise AttributeError(f"{whole} is no type that is known here; fleet netem runs the node with ROS") from None
         setattr(module, each, made)
         return made
 
-    module = ModuleType(name)
+    module = ModuleType(f"{package}.{kind}")
     vars(module).update(__getattr__=__getattr__)
     return module

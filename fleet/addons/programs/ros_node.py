@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from enum import Enum, IntEnum
+from enum import IntEnum
 from functools import partial
 from itertools import count
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
-from agents.api import Nav
-from fleet.addons.programs.ros_messages import RosMessage, from_cdr, known_types, to_cdr
-from fleet.addons.programs.ros_time import Clock, ClockType, Duration, Time
+from agents.api import Nav, Vec3
+from fleet.addons.programs.ros_messages import RosMessage, from_cdr, interfaces, to_cdr
 from fleet.addons.programs.standard import EPOCH_NS
-from fleet.addons.programs.turns import NS, Turns, Waiters
+from fleet.addons.programs.turns import Turns, Waiters
 from fleet.addons.robots.ros2.agent import NavState
 from fleet.addons.robots.ros2.mapping import MessageMaker, frd
 
 TOPIC, REQUEST, RESPONSE = range(3)
-ODOMETRY, WRENCH = "/odom", "/wrench"  # they stay within the vehicle; the axes are those of ROS (REP 103)
+ODOMETRY = "/odom"
+WRENCH, VELOCITY = "/wrench", "/cmd_vel"  # they stay within the vehicle; the axes are those of ROS (REP 103)
+Command = Callable[[float, float, float], None]
 
 
 class Ros:
@@ -39,13 +40,23 @@ class Ros:
         self.turns, self.number, self.send, self.say = turns, number, send, say
         self.subscriptions: list[Subscription] = []
         self.services: list[Service] = []
-        self.clients: dict[int, Client] = {}
+        self.pending: dict[int, tuple[Future, Any]] = {}  # by the number of the request, with the class of its answer
         self.numbers = count(1)
         self.ready: deque[Callable[[], object]] = deque()
         self.timers: list[Timer] = []
         self.waiters = Waiters(turns)
         self.ok = True
-        self.command: Callable[[float, float, float], None] = lambda *_: None  # surge force [N], pitch, yaw [N m]
+        self.command: Command = lambda *_: None  # surge force [N], pitch, yaw [N m]
+        self.command_velocity: Command = lambda *_: None  # surge [m/s], pitch rate, yaw rate [rad/s]
+
+    def begin(self, *_: Any, **__: Any) -> None:
+        """Let executors spin."""
+        self.ok = True
+
+    def end(self, *_: Any, **__: Any) -> None:
+        """Let no executor spin any more."""
+        self.ok = False
+        self.waiters.wake()
 
     def later(self, call: Callable[[], object]) -> None:
         """A callback is ready for the next executor that spins."""
@@ -53,21 +64,23 @@ class Ros:
         self.waiters.wake()
 
     def publish(self, topic: str, message: RosMessage) -> None:
-        """Send a message, to nodes of this program, too."""
-        if topic == WRENCH:
-            wrench: Any = message.wrench if hasattr(message, "wrench") else message
-            _, pitch, yaw = frd((0.0, wrench.torque.y, wrench.torque.z))
-            self.command(wrench.force.x, pitch, yaw)
-            return
+        """Send a message, to nodes of this program, too. What steers the vehicle goes to nobody else."""
         parts = [TOPIC, topic, message.name, to_cdr(message)]
         self.hear(self.number, parts)
-        self.send(parts)
+        if topic == WRENCH:
+            wrench: Any = getattr(message, "wrench", message)
+            self.command(*_axes(wrench.force.x, wrench.torque))
+        elif topic == VELOCITY:
+            twist: Any = getattr(message, "twist", message)
+            self.command_velocity(*_axes(twist.linear.x, twist.angular))
+        else:
+            self.send(parts)
 
     def tell_odometry(self, now_ns: int, nav: Nav) -> None:
         """Tell the nodes where their vehicle is, if one listens."""
         hearing = [each for each in self.subscriptions if each.topic == ODOMETRY]
         if hearing:
-            types = known_types()
+            types = interfaces().types
             message = MessageMaker(types).odometry(EPOCH_NS + now_ns, self.number, NavState(nav), nav.belief)
             for each in hearing:
                 each.take(types.encode("nav_msgs/msg/Odometry", message))
@@ -86,9 +99,10 @@ class Ros:
                 if one.name == service and one.kind.name == name:
                     self.later(partial(one.answer, src, number, data))
         elif kind == RESPONSE:
-            to, name, number, data = about
-            if to == self.number and (client := self.clients.get(number)) is not None:
-                self.later(lambda: client.answered(number, name, data))
+            to, _, number, data = about
+            if to == self.number and number in self.pending:
+                future, answer = self.pending.pop(number)
+                self.later(lambda: future.set_result(from_cdr(answer, data)))
 
     def tell(self, to: int, parts: list[Any]) -> None:
         """Send something that is for one agent."""
@@ -116,13 +130,32 @@ class Ros:
         return False
 
 
-class Timer:
+def _axes(surge: float, turn: Any) -> Vec3:
+    """What acts along the axis of the vehicle, and about the pitch and yaw axes: from the axes of ROS to ours."""
+    _, pitch, yaw = frd((0.0, turn.y, turn.z))
+    return surge, pitch, yaw
+
+
+class Entity:
+    """Something of a node, which can be destroyed."""
+
+    def __init__(self, ros: Ros, among: list[Any]) -> None:
+        self._ros, self._among = ros, among
+        among.append(self)
+
+    def destroy(self) -> None:
+        """End it."""
+        if self in self._among:
+            self._among.remove(self)
+
+
+class Timer(Entity):
     """A call again and again."""
 
     def __init__(self, ros: Ros, period_ns: int, callback: Callable[[], object]) -> None:
-        self._ros, self.timer_period_ns, self.callback = ros, max(1, period_ns), callback
+        super().__init__(ros, ros.timers)
+        self.timer_period_ns, self.callback = max(1, period_ns), callback
         self.due_ns, self._canceled = ros.turns.now_ns + self.timer_period_ns, False
-        ros.timers.append(self)
 
     def fire(self) -> None:
         """Call it, and set the next time."""
@@ -145,23 +178,16 @@ class Timer:
         """Whether it is due."""
         return self.due_ns <= self._ros.turns.now_ns
 
-    def destroy(self) -> None:
-        """Forget it."""
-        self._canceled = True
-        if self in self._ros.timers:
-            self._ros.timers.remove(self)
 
-
-class Subscription:
+class Subscription(Entity):
     """Hears messages of a topic; of those that wait it keeps the newest, as many as its QoS says."""
 
     def __init__(
         self, ros: Ros, kind: type[RosMessage], topic: str, callback: Callable[[Any], object], depth: int
     ) -> None:
-        self._ros, self.kind, self.topic, self.callback = ros, kind, topic, callback
-        self.topic_name = topic
+        super().__init__(ros, ros.subscriptions)
+        self.kind, self.topic, self.topic_name, self.callback = kind, topic, topic, callback
         self._waiting: deque[bytes] = deque(maxlen=max(1, depth))
-        ros.subscriptions.append(self)
 
     def take(self, data: bytes) -> None:
         """A message has come."""
@@ -171,22 +197,18 @@ class Subscription:
 
     def _hand_over(self) -> None:
         try:
-            message = from_cdr(self.kind.name, self._waiting.popleft())
+            message = from_cdr(self.kind, self._waiting.popleft())
         except ValueError:
             return
         self.callback(message)
 
-    def destroy(self) -> None:
-        """Hear no more."""
-        if self in self._ros.subscriptions:
-            self._ros.subscriptions.remove(self)
 
-
-class Publisher:
+class Publisher(Entity):
     """Publishes on a topic."""
 
     def __init__(self, ros: Ros, kind: type[RosMessage], topic: str) -> None:
-        self._ros, self.msg_type, self.topic, self.topic_name = ros, kind, topic, topic
+        super().__init__(ros, [])
+        self.msg_type, self.topic, self.topic_name = kind, topic, topic
 
     def publish(self, msg: Any) -> None:
         """Send a message."""
@@ -198,30 +220,22 @@ class Publisher:
         """Who hears it is not known: one is told, so that a program does not wait for it."""
         return 1
 
-    def destroy(self) -> None:
-        """End it."""
 
-
-class Service:
+class Service(Entity):
     """Answers requests."""
 
     def __init__(self, ros: Ros, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> None:
-        self._ros, self.kind, self.name, self.callback = ros, kind, name, callback
-        ros.services.append(self)
+        super().__init__(ros, ros.services)
+        self.kind, self.name, self.callback = kind, name, callback
 
     def answer(self, src: int, number: int, data: bytes) -> None:
         """Answer a request."""
         try:
-            request = from_cdr(self.kind.Request.name, data)
+            request = from_cdr(self.kind.Request, data)
         except ValueError:
             return
         response = self.callback(request, self.kind.Response())
         self._ros.tell(src, [RESPONSE, src, self.kind.Response.name, number, to_cdr(response)])
-
-    def destroy(self) -> None:
-        """Answer no more."""
-        if self in self._ros.services:
-            self._ros.services.remove(self)
 
 
 class Future:
@@ -276,21 +290,21 @@ class Future:
             self._callbacks.append(callback)
 
 
-class Client:
+class Client(Entity):
     """Asks a service."""
 
     def __init__(self, ros: Ros, kind: Any, name: str) -> None:
-        self._ros, self.srv_type, self.srv_name = ros, kind, name
-        self._pending: dict[int, Future] = {}
+        super().__init__(ros, [])
+        self.srv_type, self.srv_name = kind, name
 
     def call_async(self, request: RosMessage) -> Future:
         """Ask; the answer comes into a future. A request or an answer may be lost in the network."""
-        number = next(self._ros.numbers)
-        self._ros.clients[number], self._pending[number] = self, Future(self._ros)
+        number, future = next(self._ros.numbers), Future(self._ros)
+        self._ros.pending[number] = future, self.srv_type.Response
         parts = [REQUEST, self.srv_name, self.srv_type.name, number, to_cdr(request)]
         self._ros.hear(self._ros.number, parts)
         self._ros.send(parts)
-        return self._pending[number]
+        return future
 
     def call(self, request: RosMessage, timeout_sec: float | None = None) -> Any:
         """Ask, and wait for the answer."""
@@ -299,13 +313,6 @@ class Client:
         while not future.done() and self._ros.spin_once(end):
             pass
         return future.result()
-
-    def answered(self, number: int, name: str, data: bytes) -> None:
-        """An answer has come."""
-        future = self._pending.pop(number, None)
-        self._ros.clients.pop(number, None)
-        if future is not None:
-            future.set_result(from_cdr(name, data))
 
     def wait_for_service(self, timeout_sec: float | None = None) -> bool:
         """Who answers is not known: it is there, or the answer never comes."""
@@ -317,9 +324,6 @@ class Client:
 
     def remove_pending_request(self, future: Future) -> None:
         """Forget a request."""
-
-    def destroy(self) -> None:
-        """End it."""
 
 
 class Parameter:
@@ -336,14 +340,7 @@ class Parameter:
 
     def get_parameter_value(self) -> Any:
         """The value under the name of each type, as a message of ROS has it."""
-        names = (
-            "bool_value",
-            "integer_value",
-            "double_value",
-            "string_value",
-            "double_array_value",
-            "string_array_value",
-        )
+        names = (f"{kind}_value" for kind in ("bool", "integer", "double", "string", "double_array", "string_array"))
         return SimpleNamespace(**dict.fromkeys(names, self.value), integer_array_value=self.value)
 
 
@@ -365,212 +362,3 @@ class Logger:
 
     def set_level(self, level: Any) -> None:
         """Take a level."""
-
-
-def node_class(ros: Ros) -> type:
-    """The class `Node` of one program."""
-
-    class Node:
-        """A node."""
-
-        def __init__(self, node_name: str, *, namespace: str = "", parameter_overrides: Any = (), **_: Any) -> None:
-            self._name, self._namespace = node_name, namespace.strip("/")
-            self._parameters: dict[str, Parameter] = {}
-            self._set = {each.name: each.value for each in parameter_overrides or ()}
-            self._on_set: list[Callable[[list[Parameter]], Any]] = []
-            self._clock, self._logger = Clock(ros.turns), Logger(ros, node_name)
-            self.executor: Any = None
-            self.default_callback_group = object()
-
-        def _whole(self, name: str) -> str:
-            if name.startswith("/"):
-                return name
-            if name.startswith("~"):
-                name = f"{self._name}/{name[1:].lstrip('/')}"
-            return f"/{self._namespace}/{name}" if self._namespace else f"/{name}"
-
-        def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any = 10, **_: Any) -> Publisher:
-            return Publisher(ros, msg_type, self._whole(topic))
-
-        def create_subscription(
-            self, msg_type: Any, topic: str, callback: Any, qos_profile: Any = 10, **_: Any
-        ) -> Subscription:
-            depth = qos_profile if isinstance(qos_profile, int) else qos_profile.depth
-            return Subscription(ros, msg_type, self._whole(topic), callback, depth)
-
-        def create_timer(self, timer_period_sec: float, callback: Any, *_: Any, **__: Any) -> Timer:
-            return Timer(ros, round(timer_period_sec * NS), callback)
-
-        def create_service(self, srv_type: Any, srv_name: str, callback: Any, **_: Any) -> Service:
-            return Service(ros, srv_type, self._whole(srv_name), callback)
-
-        def create_client(self, srv_type: Any, srv_name: str, **_: Any) -> Client:
-            return Client(ros, srv_type, self._whole(srv_name))
-
-        def create_rate(self, frequency: float, *_: Any) -> Any:
-            return SimpleNamespace(sleep=lambda: ros.turns.wait(ros.turns.now_ns + round(NS / frequency)))
-
-        def get_clock(self) -> Clock:
-            return self._clock
-
-        def get_logger(self) -> Logger:
-            return self._logger
-
-        def get_name(self) -> str:
-            return self._name
-
-        def get_namespace(self) -> str:
-            return f"/{self._namespace}"
-
-        def get_fully_qualified_name(self) -> str:
-            return self._whole(self._name)
-
-        def declare_parameter(self, name: str, value: Any = None, *_: Any, **__: Any) -> Parameter:
-            self._parameters[name] = Parameter(name, None, self._set.get(name, value))
-            return self._parameters[name]
-
-        def declare_parameters(self, namespace: str, parameters: Any) -> list[Parameter]:
-            begin = f"{namespace}." if namespace else ""
-            return [self.declare_parameter(begin + name, *more) for name, *more in parameters]
-
-        def get_parameter(self, name: str) -> Parameter:
-            if name not in self._parameters:
-                raise KeyError(f"the parameter {name} was not declared")
-            return self._parameters[name]
-
-        def has_parameter(self, name: str) -> bool:
-            return name in self._parameters
-
-        def set_parameters(self, parameters: list[Parameter]) -> list[Any]:
-            for each in self._on_set:
-                each(parameters)
-            for one in parameters:
-                self._parameters[one.name] = one
-            return [SimpleNamespace(successful=True, reason="") for _ in parameters]
-
-        def add_on_set_parameters_callback(self, callback: Any) -> None:
-            self._on_set.append(callback)
-
-        def destroy_node(self) -> None: ...
-
-        destroy_timer = destroy_publisher = destroy_client = destroy_service = destroy_subscription = staticmethod(
-            lambda each: each.destroy()
-        )
-
-        def __enter__(self) -> Any:
-            return self
-
-        def __exit__(self, *_: object) -> None: ...
-
-        def __getattr__(self, name: str) -> Any:
-            if name.startswith("_"):
-                raise AttributeError(name)
-            raise AttributeError(f"Node.{name} is not there in lockstep; fleet netem runs the node with rclpy itself")
-
-    return Node
-
-
-class QoSProfile:
-    """Only its depth is used: what the network loses is lost, whatever the reliability says."""
-
-    def __init__(self, *, depth: int = 10, **settings: Any) -> None:
-        self.depth = depth
-        vars(self).update(settings)
-
-
-class _Policy(Enum):
-    """Settings of QoS, which are taken and not used."""
-
-    SYSTEM_DEFAULT, RELIABLE, BEST_EFFORT, TRANSIENT_LOCAL, VOLATILE, KEEP_LAST, KEEP_ALL, AUTOMATIC = range(8)
-
-
-def rclpy_modules(ros: Ros) -> dict[str, ModuleType]:
-    """The modules `rclpy` and those below it, of one program."""
-
-    def spin(node: Any = None, executor: Any = None) -> None:
-        while ros.ok:
-            ros.spin_once(None)
-
-    def spin_once(node: Any = None, *, executor: Any = None, timeout_sec: float | None = None) -> None:
-        ros.spin_once(None if timeout_sec is None or timeout_sec < 0 else ros.turns.until(timeout_sec))
-
-    def until_complete(node: Any, future: Any, executor: Any = None, timeout_sec: float | None = None) -> None:
-        end = ros.turns.until(timeout_sec)
-        while ros.ok and not future.done() and ros.spin_once(end):
-            pass
-
-    def shutdown(*_: Any, **__: Any) -> None:
-        ros.ok = False
-        ros.waiters.wake()
-
-    def init(*_: Any, **__: Any) -> None:
-        ros.ok = True
-
-    class Executor:
-        """Spins all nodes of the program."""
-
-        def __init__(self, *_: Any, **__: Any) -> None: ...
-
-        def add_node(self, node: Any) -> bool:
-            return True
-
-        def remove_node(self, node: Any) -> None: ...
-
-        def shutdown(self, timeout_sec: Any = None) -> bool:
-            return True
-
-        def spin(self) -> None:
-            spin()
-
-        def spin_once(self, timeout_sec: float | None = None) -> None:
-            spin_once(timeout_sec=timeout_sec)
-
-        def spin_until_future_complete(self, future: Any, timeout_sec: float | None = None) -> None:
-            until_complete(None, future, None, timeout_sec)
-
-    def __getattr__(name: str) -> Any:  # noqa: N807
-        raise AttributeError(f"rclpy.{name} is not there in lockstep; fleet netem runs the node with rclpy itself")
-
-    node = node_class(ros)
-    parts: dict[str, dict[str, Any]] = {
-        "node": {"Node": node},
-        "executors": {
-            "Executor": Executor, "SingleThreadedExecutor": Executor, "MultiThreadedExecutor": Executor,
-            "ExternalShutdownException": type("ExternalShutdownException", (Exception,), {}),
-        },
-        "qos": {
-            "QoSProfile": QoSProfile, "qos_profile_sensor_data": QoSProfile(depth=5),
-            "qos_profile_system_default": QoSProfile(), "qos_profile_services_default": QoSProfile(),
-            **{
-                f"{prefix}{name}Policy": _Policy
-                for name in ("Reliability", "Durability", "History", "Liveliness") for prefix in ("", "QoS")
-            },
-        },
-        "time": {"Time": Time},
-        "duration": {"Duration": Duration},
-        "clock": {"Clock": lambda **_: Clock(ros.turns), "ClockType": ClockType},
-        "parameter": {"Parameter": Parameter},
-        "timer": {"Timer": Timer},
-        "task": {"Future": lambda **_: Future(ros)},
-        "callback_groups": {
-            "MutuallyExclusiveCallbackGroup": object, "ReentrantCallbackGroup": object, "CallbackGroup": object,
-        },
-        "logging": {"get_logger": lambda name: Logger(ros, name)},
-        "subscription": {"Subscription": Subscription},
-        "publisher": {"Publisher": Publisher},
-        "exceptions": {"ParameterNotDeclaredException": KeyError},
-        "utilities": {"ok": lambda **_: ros.ok},
-    }  # fmt: skip
-    top = ModuleType("rclpy")
-    top.__path__ = []
-    made = {"rclpy": top}
-    for name, values in parts.items():
-        made[f"rclpy.{name}"] = module = ModuleType(f"rclpy.{name}")
-        vars(module).update(values)
-        setattr(top, name, module)
-    vars(top).update(
-        init=init, shutdown=shutdown, try_shutdown=shutdown, ok=lambda **_: ros.ok, spin=spin, spin_once=spin_once,
-        spin_until_future_complete=until_complete, create_node=node, Parameter=Parameter, __getattr__=__getattr__,
-        Future=Future, get_global_executor=Executor,
-    )  # fmt: skip
-    return made

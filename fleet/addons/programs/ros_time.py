@@ -22,11 +22,11 @@ class Time:
 
     def to_msg(self) -> Any:
         """As a message."""
-        from fleet.addons.programs.ros_messages import message_class
+        from fleet.addons.programs.ros_messages import interfaces
 
         name = "builtin_interfaces/msg/Duration" if isinstance(self, Duration) else "builtin_interfaces/msg/Time"
         sec, nanosec = divmod(self.nanoseconds, NS)
-        return message_class(name)(sec=sec, nanosec=nanosec)
+        return interfaces().message_class(name)(sec=sec, nanosec=nanosec)
 
     @classmethod
     def from_msg(cls, msg: Any, clock_type: Any = None) -> Time:

@@ -22,12 +22,20 @@ NO_SOCKETS = "a program in lockstep has datagrams (UDP) and no streams: use flee
 REFUSED: Mapping[str, str] = {
     **dict.fromkeys(("subprocess", "multiprocessing", "pty", "_posixsubprocess"), NO_PROCESSES),
     **dict.fromkeys(("ssl", "socketserver", "http", "ftplib", "smtplib", "imaplib", "telnetlib", "xmlrpc"), NO_SOCKETS),
+    **dict.fromkeys(("zenoh.ext", "zenoh.shm"), "what zenoh adds to its core is not in lockstep; use fleet netem"),
     "ctypes": "what a library in C does is not in lockstep; use fleet netem",
     "trio": "only asyncio has a stand-in for its clock; use fleet netem",
 }
 
 
-def time_module(turns: Turns, cost_ns: int = 0) -> ModuleType:
+def stand_in(real: ModuleType, **own: Any) -> ModuleType:
+    """A module that is as a real one, or an empty one, but for what a program has of its own."""
+    made = ModuleType(real.__name__)
+    vars(made).update(vars(real) | own)
+    return made
+
+
+def time_module(turns: Turns) -> ModuleType:
     """The module `time`: the clock of the program, and waits that give its turn away."""
 
     def sleep(seconds: float) -> None:
@@ -38,28 +46,25 @@ def time_module(turns: Turns, cost_ns: int = 0) -> ModuleType:
     def time_s() -> float:
         return (EPOCH_NS + turns.now_ns) / NS
 
-    def of_now(function: Callable[..., Any], now: Callable[[], Any] = time_s, place: int = 0) -> _Function:
+    def of_now(function: Callable[..., Any], now: Callable[[], Any] = time_s, place: int = 0) -> Function:
         def call(*arguments: Any) -> Any:
             given = arguments[place] if len(arguments) > place else None
             return function(*arguments[:place], now() if given is None else given)
 
-        return _Function(call)
+        return Function(call)
 
     gmtime = of_now(real_time.gmtime)
-    made = ModuleType("time")
-    vars(made).update(vars(real_time))
-    vars(made).update(
-        time=time_s, time_ns=lambda: EPOCH_NS + turns.now_ns, sleep=sleep, gmtime=gmtime,
+    return stand_in(
+        real_time, time=time_s, time_ns=lambda: EPOCH_NS + turns.now_ns, sleep=sleep, gmtime=gmtime,
         localtime=gmtime, ctime=of_now(real_time.ctime), asctime=of_now(real_time.asctime, gmtime),
         strftime=of_now(real_time.strftime, gmtime, 1), clock_gettime=lambda _: turns.now_ns / NS,
         clock_gettime_ns=lambda _: turns.now_ns,
         **{name: lambda: turns.now_ns / NS for name in _CLOCKS},
         **{f"{name}_ns": lambda: turns.now_ns for name in _CLOCKS},
     )  # fmt: skip
-    return made
 
 
-class _Function:
+class Function:
     """A function that is no method where a class holds it, as those in C are none (`logging.Formatter.converter`)."""
 
     def __init__(self, call: Callable[..., Any]) -> None:
@@ -94,10 +99,7 @@ def datetime_module(turns: Turns) -> ModuleType:
         def today(cls) -> Any:
             return datetime.now().date()
 
-    made = ModuleType("datetime")
-    vars(made).update(vars(real_datetime))
-    vars(made).update(datetime=datetime, date=date)
-    return made
+    return stand_in(real_datetime, datetime=datetime, date=date)
 
 
 def random_module(plain: ModuleType, chance: Random) -> ModuleType:
@@ -119,31 +121,16 @@ def os_module(chance: Random, number: int) -> ModuleType:
         raise OSError(NO_PROCESSES)
 
     environment = dict(real_os.environ)
-    made = ModuleType("os")
-    vars(made).update(vars(real_os))
-    vars(made).update(dict.fromkeys(_STARTERS & vars(real_os).keys(), refuse))
-    vars(made).update(
+    return stand_in(
+        real_os, **dict.fromkeys(_STARTERS & vars(real_os).keys(), refuse), register_at_fork=lambda **_: None,
         urandom=chance.randbytes, getrandom=lambda size, flags=0: chance.randbytes(size), environ=environment,
         getenv=environment.get, getpid=lambda: 1000 + number, getppid=lambda: 1, cpu_count=lambda: 1,
     )  # fmt: skip
-    vars(made)["register_at_fork"] = lambda **_: None
-    return made
 
 
 _STARTERS = {
-    *(
-        "abort",
-        "fork",
-        "forkpty",
-        "kill",
-        "killpg",
-        "popen",
-        "posix_spawn",
-        "posix_spawnp",
-        "startfile",
-        "system",
-        "_exit",
-    ),
+    *("abort", "fork", "forkpty", "kill", "killpg", "popen", "posix_spawn", "posix_spawnp", "startfile", "system"),
+    "_exit",
     *(name for name in dir(real_os) if name.startswith(("exec", "spawn"))),
 }
 
@@ -153,13 +140,10 @@ def signal_module() -> ModuleType:
     import signal as real_signal
 
     handlers: dict[Any, Any] = {}
-    made = ModuleType("signal")
-    vars(made).update(vars(real_signal))
-    vars(made).update(
-        signal=lambda number, handler: handlers.update({number: handler}), getsignal=handlers.get,
+    return stand_in(
+        real_signal, signal=lambda number, handler: handlers.update({number: handler}), getsignal=handlers.get,
         alarm=lambda _: 0, setitimer=lambda *_: (0.0, 0.0), pause=lambda: None, raise_signal=lambda _: None,
     )  # fmt: skip
-    return made
 
 
 class Output(TextIOBase):
@@ -196,14 +180,11 @@ def sys_module(arguments: Sequence[str], modules: Mapping[str, ModuleType], path
         def read(self, size: int | None = -1) -> str:
             return ""
 
-    made = ModuleType("sys")
-    vars(made).update(vars(real_sys))
-    vars(made).update(
-        argv=[*arguments], orig_argv=["python", *arguments], modules=modules, path=path, stdout=out, stderr=out,
-        stdin=NoInput(), __stdout__=out, __stderr__=out, setswitchinterval=lambda _: None,
+    return stand_in(
+        real_sys, argv=[*arguments], orig_argv=["python", *arguments], modules=modules, path=path, stdin=NoInput(),
+        stdout=out, stderr=out, __stdout__=out, __stderr__=out, setswitchinterval=lambda _: None,
         settrace=lambda _: None, setprofile=lambda _: None,
     )  # fmt: skip
-    return made
 
 
 def print_to(out: Output) -> Callable[..., None]:

@@ -34,6 +34,10 @@ class Waiters:
             self._threads.remove(thread)
         return False
 
+    def wait_s(self, timeout_s: float | None) -> bool:
+        """The same, for a time from now on [s]; None: without an end."""
+        return self.wait(self._turns.until(timeout_s))
+
     def wake(self, most: int | None = None) -> int:
         """Wake so many of them, or all. Returns how many there were."""
         woken = 0
@@ -138,11 +142,6 @@ class Turns:
                 self.current = None
             if thread.task.dead:
                 self._threads.remove(thread)
-
-    @property
-    def idle(self) -> bool:
-        """Whether no thread will ever run again by itself."""
-        return not self._ready and not any(each.waiting and each.waits == n for _, _, each, n in self._alarms)
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> None:
         """Let a thread of its own call a function of the program, as a library's thread would."""

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from types import ModuleType
 from typing import Any
 
+from fleet.addons.programs import zenoh_values
+from fleet.addons.programs.standard import stand_in
 from fleet.addons.programs.turns import NS, Turns
 from fleet.addons.programs.zenoh_values import (
     Callback,
     Channel,
-    Config,
-    CongestionControl,
-    ConsolidationMode,
     Encoding,
     FifoChannel,
-    Priority,
-    QueryTarget,
-    Reliability,
+    MatchingStatus,
     Reply,
     ReplyError,
     RingChannel,
@@ -60,11 +57,12 @@ class Zenoh:
         self.command: Callable[[float, float, float], None] = lambda *_: None  # surge force [N], pitch, yaw [N m]
         self._seen_ns: dict[tuple[int, str], int] = {}  # when a token was told last, by agent and key
 
-    def put(self, kind: int, key: str, data: bytes, encoding: str, attachment: bytes | None) -> None:
+    def put(self, kind: int, key: Any, payload: Any, encoding: Any, attachment: Any) -> None:
         """A message of this program: for its own subscribers, too."""
-        message = [kind, key, data, encoding, attachment]
+        key = str(key_expression(str(key)))
+        message = [kind, key, *_on_the_way(ZBytes(payload), encoding, attachment)]
         if key == COMMAND:
-            values = json.loads(data)
+            values = json.loads(message[2])
             self.command(values.get("force", 0.0), values.get("pitch", 0.0), values.get("yaw", 0.0))
             return
         self._deliver(message)
@@ -154,8 +152,21 @@ class Zenoh:
         return lambda item: self.turns.call(call, item), None, drop or (lambda: None)
 
 
-class Declaration:
-    """Something that a session has declared."""
+class Declared:
+    """Something that can be undeclared, as at the end of a `with`."""
+
+    def undeclare(self) -> None:
+        """End it."""
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.undeclare()
+
+
+class Declaration(Declared):
+    """Something that hands over what comes."""
 
     def __init__(self, zenoh: Zenoh, key: Any, handler: Any, among: list[Any]) -> None:
         self.key_expr: KeyExpression = key_expression(str(key))
@@ -180,12 +191,6 @@ class Declaration:
     def __iter__(self) -> Iterator[Any]:
         return iter(self.handler)
 
-    def __enter__(self) -> Any:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.undeclare()
-
 
 class Subscriber(Declaration):
     """Hears samples."""
@@ -209,7 +214,7 @@ class Watcher(Declaration):
             self.take(Sample(key, b"", SampleKind.PUT if alive else SampleKind.DELETE, "zenoh/bytes", None))
 
 
-class Token:
+class Token(Declared):
     """A token of liveliness, told again and again, since the water may lose it."""
 
     def __init__(self, zenoh: Zenoh, key: str) -> None:
@@ -224,12 +229,6 @@ class Token:
             self._zenoh.tokens.remove(self)
             self._zenoh.hear(self._zenoh.number, [UNTOKEN, self.key])
             self._zenoh.send([UNTOKEN, self.key])
-
-    def __enter__(self) -> Token:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.undeclare()
 
 
 class Query:
@@ -249,15 +248,15 @@ class Query:
 
     def reply(self, key: Any, payload: Any, *, encoding: Any = None, attachment: Any = None, **_: Any) -> None:
         """Answer with a sample."""
-        data, more = ZBytes(payload).to_bytes(), None if attachment is None else ZBytes(attachment).to_bytes()
-        message = [REPLY, self._src, self._number, str(key), data, str(encoding or "zenoh/bytes"), more, False]
-        self._zenoh.reply(self._src, message)
+        self._send(str(key), payload, encoding, attachment, failed=False)
 
     def reply_err(self, payload: Any, *, encoding: Any = None) -> None:
         """Answer with an error."""
-        data = ZBytes(payload).to_bytes()
-        message = [REPLY, self._src, self._number, "error", data, str(encoding or "zenoh/bytes"), None, True]
-        self._zenoh.reply(self._src, message)
+        self._send("error", payload, encoding, None, failed=True)
+
+    def _send(self, key: str, payload: Any, encoding: Any, attachment: Any, *, failed: bool) -> None:
+        about = [key, *_on_the_way(ZBytes(payload), encoding, attachment), failed]
+        self._zenoh.reply(self._src, [REPLY, self._src, self._number, *about])
 
     def drop(self) -> None:
         """No more replies come."""
@@ -301,48 +300,62 @@ class PendingQuery:
             self._end()
 
 
-class Publisher:
+class OneKey(Declared):
+    """Something that speaks on one key."""
+
+    def __init__(self, zenoh: Zenoh, key: Any, listening: Sequence[Declaration]) -> None:
+        self._zenoh, self.key_expr, self._listening = zenoh, key_expression(str(key)), listening
+
+    @property
+    def matching_status(self) -> MatchingStatus:
+        """Whether somebody listens: something of this program, or anybody.
+
+        What others have declared is not known, and who hears this agent neither: it is those that it hears.
+        """
+        own = any(intersects(each.key_expr, str(self.key_expr)) for each in self._listening)
+        return MatchingStatus(own or bool(self._zenoh.hears))
+
+    def declare_matching_listener(self, handler: Any = None) -> Declaration:
+        """Tell at once if somebody listens; no change is ever seen."""
+        made = Declaration(self._zenoh, self.key_expr, handler, [])
+        if self.matching_status.matching:
+            made.take(self.matching_status)
+        return made
+
+
+class Publisher(OneKey):
     """Puts on one key."""
 
-    def __init__(self, zenoh: Zenoh, key: str, encoding: Any) -> None:
-        self._zenoh, self._encoding = zenoh, encoding
-        self.key_expr = key_expression(key)
+    def __init__(self, zenoh: Zenoh, key: Any, encoding: Any) -> None:
+        super().__init__(zenoh, key, zenoh.subscribers)
+        self._encoding = encoding
 
     def put(self, payload: Any, *, encoding: Any = None, attachment: Any = None, **_: Any) -> None:
         """Send a sample."""
-        _put(self._zenoh, PUT, str(self.key_expr), payload, encoding or self._encoding, attachment)
+        self._zenoh.put(PUT, self.key_expr, payload, encoding or self._encoding, attachment)
 
     def delete(self, *, attachment: Any = None, **_: Any) -> None:
         """Say that the key has no value any more."""
-        _put(self._zenoh, DELETE, str(self.key_expr), b"", None, attachment)
-
-    def undeclare(self) -> None:
-        """End it."""
-
-    def __enter__(self) -> Publisher:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
+        self._zenoh.put(DELETE, self.key_expr, b"", None, attachment)
 
 
-def _put(zenoh: Zenoh, kind: int, key: Any, payload: Any, encoding: Any, attachment: Any) -> None:
-    more = None if attachment is None else ZBytes(attachment).to_bytes()
-    zenoh.put(kind, str(key_expression(str(key))), ZBytes(payload).to_bytes(), str(encoding or "zenoh/bytes"), more)
+def _on_the_way(payload: Any, encoding: Any, attachment: Any) -> tuple[bytes | None, str, bytes | None]:
+    """Payload, encoding and attachment as a message has them."""
+    data, more = (None if each is None else ZBytes(each).to_bytes() for each in (payload, attachment))
+    return data, str(encoding or "zenoh/bytes"), more
 
 
-class Querier:
+class Querier(OneKey):
     """Asks on one key."""
 
-    def __init__(self, session: Session, key: Any, about: dict[str, Any]) -> None:
-        self._session, self.key_expr, self._about = session, key_expression(str(key)), about
+    def __init__(self, zenoh: Zenoh, session: Session, key: Any, about: dict[str, Any]) -> None:
+        super().__init__(zenoh, key, zenoh.queryables)
+        self._session, self._about = session, about
 
     def get(self, handler: Any = None, *, parameters: str = "", **about: Any) -> Any:
         """Ask."""
         selector = f"{self.key_expr}?{parameters}" if parameters else str(self.key_expr)
         return self._session.get(selector, handler, **(self._about | about))
-
-    def undeclare(self) -> None:
-        """End it."""
 
 
 class Liveliness:
@@ -381,11 +394,11 @@ class Session:
 
     def put(self, key: Any, payload: Any, *, encoding: Any = None, attachment: Any = None, **_: Any) -> None:
         """Send a sample."""
-        _put(self._zenoh, PUT, key, payload, encoding, attachment)
+        self._zenoh.put(PUT, key, payload, encoding, attachment)
 
     def delete(self, key: Any, *, attachment: Any = None, **_: Any) -> None:
         """Say that a key has no value any more."""
-        _put(self._zenoh, DELETE, key, b"", None, attachment)
+        self._zenoh.put(DELETE, key, b"", None, attachment)
 
     def get(
         self, selector: Any, handler: Any = None, *, payload: Any = None, encoding: Any = None, attachment: Any = None,
@@ -398,16 +411,15 @@ class Session:
         zenoh, number = self._zenoh, next(self._zenoh.numbers)
         asked = PendingQuery(zenoh, number, handler, QUERY_TIMEOUT_S if timeout is None else timeout)
         key, mark, more = str(selector).partition("?")
-        data = None if payload is None else ZBytes(payload).to_bytes()
-        about = None if attachment is None else ZBytes(attachment).to_bytes()
-        message = [QUERY, number, f"{key_expression(key)}{mark}{more}", data, str(encoding or "zenoh/bytes"), about]
+        about = _on_the_way(payload, encoding, attachment)
+        message = [QUERY, number, f"{key_expression(key)}{mark}{more}", *about]
         zenoh.send(message)
         zenoh.hear(zenoh.number, message)
         return asked.channel
 
     def declare_publisher(self, key: Any, *, encoding: Any = None, **_: Any) -> Publisher:
         """A publisher of a key."""
-        return Publisher(self._zenoh, str(key), encoding)
+        return Publisher(self._zenoh, key, encoding)
 
     def declare_subscriber(self, key: Any, handler: Any = None, **_: Any) -> Subscriber:
         """A subscriber; the handler is a function, a channel, or left out for a FIFO."""
@@ -421,7 +433,7 @@ class Session:
 
     def declare_querier(self, key: Any, **about: Any) -> Querier:
         """A querier of a key."""
-        return Querier(self, key, {key: value for key, value in about.items() if key == "timeout"})
+        return Querier(self._zenoh, self, key, {key: value for key, value in about.items() if key == "timeout"})
 
     def declare_keyexpr(self, key: Any) -> KeyExpression:
         """The key itself."""
@@ -460,18 +472,14 @@ def zenoh_module(zenoh: Zenoh) -> ModuleType:
     def __getattr__(name: str) -> Any:  # noqa: N807
         raise AttributeError(f"zenoh.{name} is not there in lockstep; fleet netem runs the program with zenoh itself")
 
-    handlers = ModuleType("zenoh.handlers")
-    vars(handlers).update(
-        FifoChannel=FifoChannel, RingChannel=RingChannel, Callback=Callback, DefaultHandler=FifoChannel
-    )
-    made = ModuleType("zenoh")
-    kinds = (Config, Session, Sample, SampleKind, Priority, CongestionControl, Reliability, QueryTarget, Encoding,
-             ConsolidationMode, ZBytes, Reply, ReplyError, Query, Queryable, Subscriber, Publisher, Querier,
-             )  # fmt: skip
-    vars(made).update({kind.__name__: kind for kind in kinds})
-    vars(made).update(
+    handlers = stand_in(
+        ModuleType("zenoh.handlers"), FifoChannel=FifoChannel, RingChannel=RingChannel, Callback=Callback,
+        DefaultHandler=FifoChannel,
+    )  # fmt: skip
+    kinds = (Session, Query, Queryable, Subscriber, Publisher, Querier, Liveliness)
+    return stand_in(
+        ModuleType("zenoh"), **zenoh_values.VALUES, **{kind.__name__: kind for kind in kinds},
         ZError=ZenohError, KeyExpr=key_expression, Selector=lambda key, parameters="": f"{key}?{parameters}",
         open=lambda config=None: Session(zenoh), try_init_log_from_env=lambda: None, handlers=handlers,
-        init_log_from_env_or=lambda _: None, Liveliness=Liveliness, __getattr__=__getattr__,
+        init_log_from_env_or=lambda _: None, __getattr__=__getattr__,
     )  # fmt: skip
-    return made

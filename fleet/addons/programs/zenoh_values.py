@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -148,6 +149,13 @@ class ReplyError:
         self.payload, self.encoding = ZBytes(data), Encoding(encoding)
 
 
+@dataclass(frozen=True, slots=True)
+class MatchingStatus:
+    """Whether somebody listens to a publisher, or answers a querier."""
+
+    matching: bool
+
+
 class Channel:
     """What has come and waits to be taken."""
 
@@ -233,3 +241,7 @@ class Config:
         return cls()
 
     from_json5 = from_env = from_file
+
+
+# What the module of a program has of these, with the handlers.
+VALUES = {name: kind for name, kind in vars().items() if getattr(kind, "__module__", "") == __name__}

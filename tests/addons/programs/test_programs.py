@@ -6,58 +6,19 @@ import asyncio
 import gc
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from own_program import RunProgram, lines, same_bytes
 from repository import ROOT
 from tool import invoke
 
 import fleet
 from fleet.errors import ScenarioError
-from fleet.result.result import Result, Status
+from fleet.result.result import Status
 
 MEMBER = ROOT / "docs/examples/election_stack/member.py"
-RunProgram = Callable[..., Result]
-
-
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunProgram:
-    """Writes a program into the current folder, and runs it as every agent of a moored fleet."""
-    monkeypatch.chdir(tmp_path)
-
-    def made(text: str, arguments: str = '["{id}"]', vehicles: int = 2, signal: str = "v", **changes: str) -> Result:
-        (tmp_path / "program.py").write_text(dedent(text))
-        more = "".join(f"\n  {key}: {value}" for key, value in changes.items())
-        (tmp_path / "own.yaml").write_text(
-            dedent(f"""
-            name: own
-            title: a program
-            vehicles: {vehicles}
-            moored: true
-            tick: 10 ms
-            duration: 3 s
-            graph: {{shape: complete}}
-            network: {{period: 10 ms, links: {{"*": delay 20ms}}}}
-            agent:
-              program: program.py
-              arguments: {arguments}
-              signals: {{{signal}: '(?P<value>-?[0-9.]+) {signal}$'}}
-            """).strip()
-            + more
-            + "\n"
-        )
-        return fleet.run("own.yaml", out=tmp_path / "runs")
-
-    return made
-
-
-def lines(result: Result, agent: int = 1) -> list[str]:
-    """What an agent's program has printed, without the times."""
-    assert result.directory is not None
-    text = (result.directory / "log" / f"agent-{agent}.log").read_text("utf-8")
-    return [line.partition(" ")[2] for line in text.splitlines()]
 
 
 def test_time_is_simulated_and_chance_is_seeded(run: RunProgram) -> None:
@@ -132,11 +93,51 @@ def test_datagrams_go_to_agents(run: RunProgram) -> None:
         print(u.recvfrom(100), time.monotonic())
         try: u.recvfrom(100)
         except TimeoutError: print("nothing", time.monotonic())
-        for refused in (lambda: socket.socket(), lambda: __import__("subprocess"), lambda: __import__("ssl")):
+        for refused in (lambda: socket.socket(), lambda: __import__("subprocess"), lambda: __import__("ssl"),
+                        lambda: __import__("zenoh.ext")):
             try: refused()
             except (OSError, ImportError) as error: print("lockstep" in str(error))
     """)
-    assert lines(result) == ["(b'from 2', ('10.0.0.2', 9000)) 0.03", "nothing 0.23", "True", "True", "True"]
+    assert lines(result) == ["(b'from 2', ('10.0.0.2', 9000)) 0.03", "nothing 0.23", *["True"] * 4]
+
+
+SELECT = """
+    import select, selectors, socket, sys, time
+    me = int(sys.argv[1])
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    for each, port in zip(sockets, (9000, 9001)):
+        each.bind(("", port))
+        each.setblocking(False)
+    print(select.select(sockets, [], [], 0.1), round(time.monotonic(), 2))
+    print(select.select(sockets, sockets[:1], [], 0)[1] == sockets[:1], select.select(sockets, [], [], 0))
+    sockets[0].sendto(b"one", (f"10.0.0.{3 - me}", 9001))
+    found, _, _ = select.select(sockets, [], [])
+    print(found == [sockets[1]], found[0].recvfrom(100), round(time.monotonic(), 2))
+    with selectors.DefaultSelector() as selector:
+        for name, each in zip("ab", sockets): selector.register(each, selectors.EVENT_READ, name)
+        print(selector.select(timeout=0.5), round(time.monotonic(), 2))
+        sockets[1].sendto(b"two", (f"10.0.0.{3 - me}", 9000))
+        ((key, events),) = selector.select()
+        print(key.data, key.fileobj.recv(100), round(time.monotonic(), 2))
+    sockets[0].close()
+    for wrong in (sockets[0], sys.stdin, 0):
+        try: select.select([wrong], [], [], 0)
+        except OSError as error: print(str(error)[:30])
+"""
+
+
+def test_select_waits_for_any_of_several_sockets(run: RunProgram) -> None:
+    result = run(SELECT)
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert lines(result) == [
+        "([], [], []) 0.1", "True ([], [], [])", "True (b'one', ('10.0.0.2', 9000)) 0.13", "[] 0.63",
+        "a b'two' 0.66", "[Errno 9] Bad file descriptor:", "fileno", "[Errno 9] Bad file descriptor:",
+    ]  # fmt: skip
+
+
+def test_select_has_the_same_bytes_in_processes_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert same_bytes(tmp_path, SELECT)
 
 
 def test_zenoh_as_its_examples_use_it(run: RunProgram) -> None:
@@ -183,6 +184,26 @@ def test_zenoh_as_its_examples_use_it(run: RunProgram) -> None:
         "zenoh.scout is not there in lockstep; fleet netem runs the program with zenoh itself",
         "SampleKind.DELETE alive/2",
     ]
+
+
+MATCHING = """
+    import time, zenoh
+    session = zenoh.open()
+    publisher, querier = session.declare_publisher("a/b"), session.declare_querier("c/**")
+    print(publisher.matching_status.matching, querier.matching_status.matching)
+    listener = publisher.declare_matching_listener()
+    print(listener.try_recv())
+    subscriber = session.declare_subscriber("a/*")
+    publisher.declare_matching_listener(lambda status: print("matching", status.matching))
+    time.sleep(0.1)
+    subscriber.undeclare()
+    print(publisher.matching_status.matching)
+"""
+
+
+def test_a_publisher_matches_if_somebody_may_hear_it(run: RunProgram) -> None:
+    assert lines(run(MATCHING)) == ["True True", "MatchingStatus(matching=True)", "matching True", "True"]
+    assert lines(run(MATCHING, vehicles=1)) == ["False False", "None", "matching True", "False"]
 
 
 def test_asyncio_over_datagrams(run: RunProgram) -> None:
@@ -348,115 +369,6 @@ def test_mistakes_are_told_where_they_are(run: RunProgram, tmp_path: Path) -> No
             run("pass", **{key: value})
     with pytest.raises(ScenarioError, match="line is no regular expression"):
         run("pass", signal="(")
-
-
-WATER = {
-    "moored": False,
-    "duration": "2 s",
-    "reference": "{start: 0 0 5 m, velocity: 0.5 0 0 m/s}",
-    "formation": "{shape: line, spacing: 8 m}",
-    "initial": "[{position: 0 0 5 m, surge: 0.1 m/s}, {position: 0 9 5 m, surge: 0.1 m/s}]",
-}
-STEER = """
-    import json, time, zenoh
-    session, last = zenoh.open(), {}
-    session.declare_subscriber("self/nav", lambda s: last.update(json.loads(s.payload.to_bytes())))
-    time.sleep(1.0)
-    session.put("self/cmd", json.dumps({"force": 7.0, "yaw": 1.0}))
-    print(f"{last['position'][1]:.3f} v")
-    time.sleep(100)
-"""
-ROS_STEER = """
-    import rclpy
-    from geometry_msgs.msg import WrenchStamped
-    from nav_msgs.msg import Odometry
-    from rclpy.node import Node
-    class Steer(Node):
-        def __init__(self):
-            super().__init__("steer")
-            self.wrench = self.create_publisher(WrenchStamped, "/wrench", 10)
-            self.create_subscription(Odometry, "/odom", self.heard, 1)
-        def heard(self, odom):
-            message = WrenchStamped()
-            message.wrench.force.x, message.wrench.torque.z = 7.0, -1.0  # in ROS z is up
-            self.wrench.publish(message)
-            print(f"{odom.pose.pose.position.x:.3f} v")  # in ROS x is east
-    rclpy.init()
-    rclpy.spin(Steer())
-"""
-
-
-TUTORIAL = """
-    import sys
-    import rclpy
-    from example_interfaces.srv import AddTwoInts
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.node import Node
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
-    from std_msgs.msg import String
-    me = int(sys.argv[1])
-    class Publisher(Node):
-        def __init__(self):
-            super().__init__("minimal_publisher")
-            self.declare_parameter("word", "Hello")
-            qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-            self.publisher_ = self.create_publisher(String, "topic", qos)
-            self.timer = self.create_timer(0.5, self.timer_callback)
-            self.srv = self.create_service(AddTwoInts, "add_two_ints", self.add)
-            self.i = 0
-        def timer_callback(self):
-            msg = String()
-            msg.data = f"{self.get_parameter('word').value} World: {self.i}"
-            self.publisher_.publish(msg)
-            self.get_logger().info(f'Publishing: "{msg.data}"')
-            self.i += 1
-        def add(self, request, response):
-            response.sum = request.a + request.b
-            return response
-    class Subscriber(Node):
-        def __init__(self):
-            super().__init__("minimal_subscriber")
-            self.subscription = self.create_subscription(String, "topic", self.heard, 10)
-            self.cli = self.create_client(AddTwoInts, "add_two_ints")
-        def heard(self, msg):
-            self.get_logger().info(f'I heard: "{msg.data}"')
-    rclpy.init()
-    if me == 1:
-        rclpy.spin(Publisher())
-    node = Subscriber()
-    while not node.cli.wait_for_service(timeout_sec=1.0): pass
-    future = node.cli.call_async(AddTwoInts.Request(a=2, b=3))
-    rclpy.spin_until_future_complete(node, future)
-    print(f"{future.result().sum} v")
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    executor.spin()
-"""
-
-
-def test_nodes_of_the_tutorials_of_ros(run: RunProgram) -> None:
-    """A publisher with a timer, a subscriber, a service and its client, in the style of rclpy's tutorials."""
-    pytest.importorskip("rosbags")
-    result = run(TUTORIAL)
-    assert result.status is Status.PASS, (result.reason, result.lines)
-    assert lines(result)[0] == '[INFO] [minimal_publisher]: Publishing: "Hello World: 0"'
-    said = lines(result, 2)
-    assert said[0] == "5 v" and said[1] == '[INFO] [minimal_subscriber]: I heard: "Hello World: 0"'
-
-
-@pytest.mark.parametrize("text", [STEER, ROS_STEER, "import time\ntime.sleep(100)\n"], ids=["zenoh", "rclpy", "none"])
-def test_a_program_steers_its_vehicle_or_leaves_it_to_the_laws(text: str, run: RunProgram, tmp_path: Path) -> None:
-    if "rclpy" in text:
-        pytest.importorskip("rosbags")
-    assert run("pass").status is Status.PASS
-    (tmp_path / "program.py").write_text(dedent(text))
-    result = fleet.run("own.yaml", out=tmp_path / "runs", set=WATER)
-    assert result.directory is not None
-    log = fleet.open_log(result.directory)
-    commanded = log["uuv/2/command"]["tau"][-1].tolist() == [7.0, 0.0, 1.0]
-    assert commanded == ("Steer" in text or "self/cmd" in text), result.reason
-    if commanded:
-        assert abs(float(lines(result, 2)[0].split()[0]) - 9.0) < 1.0
 
 
 def test_a_log_runs_no_program_of_mine_unasked(

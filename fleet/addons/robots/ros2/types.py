@@ -51,7 +51,7 @@ class RosTypes:
 
     def add_service(self, name: str, text: str) -> None:
         """A service type, such as `std_srvs/srv/Trigger`, by its definition: request, `---`, response."""
-        request, _, response = text.partition("---\n")
+        request, _, response = f"\n{text}".partition("\n---\n")  # a line, and no end of a comment
         self._register(f"{name}_Request", request)
         self._register(f"{name}_Response", response)
         self._register(f"{name}_Event", _EVENT.format(name))
@@ -117,7 +117,9 @@ def ros_name(dds: str) -> str | None:
 
 
 def _named(kind: Any) -> Any:
-    """A field's type, with the names of types of services as they are: rosbags puts `msg` into them."""
+    """A field's type, with the names of types of services as they are: rosbags puts `msg` into them, and takes a name
+    without a package for one of the folder `srv`."""
     if isinstance(kind, str):
-        return kind.replace("/srv/msg/", "/srv/")
+        of_service = kind.endswith(("_Request", "_Response", "_Event"))
+        return kind.replace("/srv/msg/", "/srv/" if of_service else "/msg/")
     return tuple(map(_named, kind)) if isinstance(kind, tuple) else kind

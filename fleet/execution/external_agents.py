@@ -35,7 +35,9 @@ def refuse(scenario: Scenario, what: str, *, stacks: bool = False) -> None:
             )
         return
     if scenario.nodes:
-        raise FleetError(f"{scenario.name} has nodes, whose programs are not ours: fleet netem runs it, but not {what}")
+        instead = "" if scenario.spec.programs is None else "; fleet sweep --seeds N counts how often a check fails"
+        problem = f"{scenario.name} has nodes, whose programs are not ours: fleet netem runs it, but not {what}"
+        raise FleetError(problem + instead)
     if scenario.external:
         raise FleetError(
             f"{named(scenario.external)}: {what} cannot have agents that are started elsewhere; "

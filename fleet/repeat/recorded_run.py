@@ -34,11 +34,19 @@ class Recorded:
     events: list[tuple[int, Any]]  # (time [ns], message) of the topic `faults`
     last_ns: int  # time of the last message; -1 without any
 
-    def insist_on_lockstep(self, what: str) -> None:
-        """Refuse a log of a run on a wall clock. Raises FleetError."""
+    def insist_on_lockstep(self, what: str, instead: str) -> None:
+        """Refuse a log of a run on a wall clock.
+
+        Args:
+            what: is not possible with it.
+            instead: what is, with programs that are not ours.
+
+        Raises:
+            FleetError: the log is such a one.
+        """
         about = self.reader.metadata.get("run", {})
         if "nodes" in about:
-            raise FleetError(f"{self.path} holds what programs of others sent on a wall clock, so {what}")
+            raise FleetError(f"{self.path} holds what programs of others sent on a wall clock, so {what}; {instead}")
         if about.get(CLOCK) == Clock.REAL:
             raise FleetError(
                 f"{self.path} was recorded with --clock real: when each agent answered was the machine's affair, so "

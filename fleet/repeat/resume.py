@@ -57,7 +57,9 @@ def continuation(
         ScenarioError: the scenario is wrong, or that of the log does not run here.
     """
     source = read(path, on_progress)
-    source.insist_on_lockstep("nothing can go on from there")
+    source.insist_on_lockstep(
+        "nothing can go on from there", f"fleet netem {source.path.parent / 'scenario.yaml'} begins anew"
+    )
     if external := source.script().external:
         vehicles = ", ".join(map(str, external))
         raise FleetError(

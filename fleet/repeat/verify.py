@@ -81,7 +81,9 @@ def verify(
     """
     source = recorded(path, reading)
     path, reader, last_ns = source.path, source.reader, source.last_ns
-    source.insist_on_lockstep("it does not come out the same again")
+    source.insist_on_lockstep(
+        "it does not come out the same again", "fleet regress tells how often kept failures come again"
+    )
     if last_ns < 0:
         raise FleetError(f"{path} holds no message{f': {reader.missing}' if reader.missing else ''}", status=3)
     start, scenario = start_of(source), as_it_was(source)

@@ -139,7 +139,7 @@ def _future(
 
 def refuse_branches(scenario: Scenario, check: str) -> None:
     """See whether parts of a run can be made and put together. Raises StudyError: they cannot."""
-    refuse(scenario, "rare, which goes on from the middle of runs (fleet sweep --seeds counts failures)")
+    refuse(scenario, "rare, which goes on from the middle of runs")
     known = list(checks_over_time(scenario))
     if check not in known:
         has = ", ".join(known) or "none"

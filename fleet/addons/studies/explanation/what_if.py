@@ -113,7 +113,9 @@ def what_if(
     """
     path = log_path(path)
     source = read(path, progress)
-    source.insist_on_lockstep("what an agent had heard when is not in it")
+    source.insist_on_lockstep(
+        "what an agent had heard when is not in it", "fleet netem FILE --set tries another network, or other programs"
+    )
     scenario, recorded = source.script(overrides, Policy(imports=False)), source.script()
     _check(path, agent, scenario, recorded, source.text)
     given = _read(path, agent, scenario.tick_ns, progress)

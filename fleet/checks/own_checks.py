@@ -6,6 +6,7 @@ can name a message that arrives at the very tick of the failure.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import isfinite
@@ -21,7 +22,7 @@ from fleet.logs.payload_kinds import STATE, kind_of
 from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.result.verdict import LastMessage, Moment, Verdict
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.node_names import named
+from fleet.scenario.sections.node_names import named, numbered_words
 from fleet.scenario.sections.node_signals import node_signals
 from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, VehicleSignals
@@ -86,6 +87,8 @@ class OwnChecks:
         """A fault begins or ends; comes before the values of its tick."""
         if event.action == "ends" and event.tick >= self._last:
             return  # with the run: at its last tick it is still there, and the agent that it ended is not
+        if self._scenario.nodes:  # checks know vehicles by their numbers
+            event = dataclasses.replace(event, what=numbered_words(event.what, self._scenario.nodes))
         self._judge()
         if event.action == "begins":
             if event.is_fault:

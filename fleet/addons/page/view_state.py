@@ -33,6 +33,7 @@ from fleet.recorder.scene.styles import LINK_MEANINGS, NO_AGENT
 from fleet.recorder.transforms import angles
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.scenario import Scenario, timeline
+from fleet.scenario.sections.node_names import numbered_words
 from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
 from netem.condition import Link
 from world.vectors import Vec3
@@ -332,7 +333,7 @@ class ViewState:
             kind = row["what"].partition(" ")[0]
             word = kind if kind in (TUMBLED, DIVERGED) else KINDS[kind].shown if kind in KINDS else ""
             if word and row["from_s"] <= self.at_s < row["to_s"]:
-                for i in kind_and_vehicles(row["what"])[1]:
+                for i in kind_and_vehicles(numbered_words(row["what"], self.scenario.nodes))[1]:
                     found.setdefault(i, []).append(word)
         return {i: ", ".join(dict.fromkeys(some)) for i, some in found.items()}
 

@@ -8,11 +8,13 @@ import re
 import socket
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from shlex import quote
 from types import MappingProxyType
 
 from fleet.analysis.link_shares import link_lines
 from fleet.scenario.scenario import Scenario, timeline_lines
 from fleet.scenario.schema.nodes import Node, without_address
+from fleet.scenario.schema.programs import programs_of
 
 _LOOPBACK = ("127.", "localhost", "[::1]")
 _EVERY = re.compile(r"/(0\.0\.0\.0|\[::\])(?=:)")  # every address of this host
@@ -20,13 +22,19 @@ _PEOPLE = range(1000, 60_000)  # the numbers of the accounts of people
 
 
 def lines(scenario: Scenario, found: Mapping[str, str] = MappingProxyType({})) -> Iterator[str]:
-    """For each node the address that its programs need, and how those of ROS 2 get it. `found`: the addresses of nodes
-    that say none; empty: they have none yet.
+    """For each node the programs that the run starts, or the address that those of the user need, and how those of
+    ROS 2 get it. `found`: the addresses of nodes that say none; empty: they have none yet.
     """
     nodes = scenario.spec.nodes or {}
+    started: dict[str, list[str]] = {}
+    for _, whose, section in programs_of(scenario.spec.programs or {}, scenario.nodes):
+        started.setdefault(whose, []).append(f"runs {' '.join(map(quote, section.run))}")
     free = without_address(nodes)
     width = max(map(len, scenario.nodes))
     for name, node in nodes.items():
+        if name in started:
+            yield from (f"{name:{width}}  {said}" for said in started[name])
+            continue
         if name in free and name not in found:
             yield f"{name:{width}}  gets a free port of this host, which fleet netem tells"
         for said in _of(node, found.get(name, "")):

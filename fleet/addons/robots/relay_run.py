@@ -195,10 +195,8 @@ class RelayRun:
         ports = {self._scenario.nodes[i - 1]: port for i, port in opened.ports.items()}
         self._found = {name: f"{_FREE.removesuffix(ANY_PORT)}:{ports[name]}" for name in self._found}
         self.waiting = ""
-        having = {state.node for state in self._programs.states.values()}
         for line in lines(self._scenario, self._found):  # not before: a program that comes too early is refused
-            if self._scenario.nodes.index(line.split()[0]) + 1 not in having:  # the others are started with it
-                self._print(line)
+            self._print(line)
 
     def _begin(self, progress: Callable[[], None]) -> None:
         """Fix when tick 0 begins: at once, or when all programs are ready. Raises RunBroken: one is not ready."""

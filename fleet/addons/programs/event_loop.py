@@ -102,12 +102,18 @@ class ProgramLoop(_Base):  # type: ignore[misc]
             self._write_to_self()
 
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> Any:
-        """Call a function at once, since computing takes no simulated time."""
+        """Call a function soon, since computing takes no simulated time. Others run before who awaits it goes on."""
         future = self.create_future()
-        try:
-            future.set_result(func(*args))
-        except Exception as error:
-            future.set_exception(error)
+
+        def call() -> None:
+            if future.cancelled():
+                return
+            try:
+                future.set_result(func(*args))
+            except Exception as error:
+                future.set_exception(error)
+
+        self.call_soon(call)
         return future
 
     async def shutdown_default_executor(self, timeout: Any = None) -> None:
@@ -126,8 +132,16 @@ class ProgramLoop(_Base):  # type: ignore[misc]
         """A transport of datagrams between agents."""
         protocol = protocol_factory()
         transport = DatagramEndpoint(self, self._datagrams, protocol, local_addr, remote_addr)
-        self.call_soon(protocol.connection_made, transport)
-        await asyncio.sleep(0)
+        made = self.create_future()
+
+        def begin() -> None:  # one callback, since others may run in an order by chance
+            try:
+                protocol.connection_made(transport)
+            finally:
+                made.set_result(None)
+
+        self.call_soon(begin)
+        await made
         return transport, protocol
 
     def _refuse(self, *_: Any, **__: Any) -> Any:
@@ -242,14 +256,11 @@ def asyncio_module(turns: Turns, datagrams: Datagrams, shuffle: Random | None) -
             loop.close()
             current[0] = None
 
-    async def to_thread(function: Callable[..., Any], /, *args: Any, **named: Any) -> Any:
-        return function(*args, **named)
-
     made = ModuleType("asyncio")
     vars(made).update(vars(asyncio))
     vars(made).update(
         run=run, Runner=Runner, new_event_loop=new_event_loop, get_event_loop=get_event_loop,
         set_event_loop=lambda loop: current.__setitem__(0, loop), SelectorEventLoop=new_event_loop,
-        to_thread=to_thread, set_event_loop_policy=lambda _: None,
+        set_event_loop_policy=lambda _: None,
     )  # fmt: skip
     return made

@@ -72,8 +72,9 @@ class ImportSpace:
         """Run a file as a module. What it raises passes on."""
         loader = SourceFileLoader(name, str(file))
         module = self._new(ModuleSpec(name, loader, origin=str(file)), package="")
-        # As Python does with the file that it is given: its cache would miss a change within a second.
-        exec(_compiled(loader.get_data(str(file)), str(file)), vars(module))  # the program's own, which trust has let run
+        # Compiled as Python does with the file that it is given: its cache would miss a change within a second.
+        code = _compiled(loader.get_data(str(file)), str(file))
+        exec(code, vars(module))  # the program's own code, which trust has let run
         return module
 
     def load(self, name: str) -> ModuleType:

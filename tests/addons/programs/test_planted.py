@@ -77,6 +77,15 @@ DEFECTS = {
         ("seed=3", "duration=9 s", "nemesis=null", 'faults=[{at: 7.33 s, for: 990 ms, partition: "1 / 2,3"}]'),
         found=3,
     ),
+    "a lease is forgotten after a restart": Planted(
+        "election_stack/member.py", "self.silent_until = now + lease_s", "self.silent_until = now", "OneLeader",
+        (
+            "seed=1885", "duration=2.81 s", "nemesis=null",
+            'faults=[{at: 1.75 s, for: 500 ms, partition: "3 / 1,2"}, {at: 2.25 s, for: 1.75 s, partition: "2,3 / 1"}, '
+            '{at: 2.25 s, for: 10 ms, kill: "2"}]',
+        ),
+        ("--set", "nemesis={mode: episodes, unit: 1 s, pick: [partition, kill]}"), found=1885,
+    ),
     "a vote is given twice while a line is printed": Planted(
         "sonar_lease/sonar.py", _SET + _SAY, _SAY + _SET, "one-at-a-time",
         ("seed=14", "duration=1.12 s", "nemesis=null"), found=14,
@@ -118,6 +127,7 @@ def test_a_search_finds_the_defect_and_nothing_without_it(defect: Planted, tmp_p
     found = invoke("search", defect.write(tmp_path), *asked, "--budget", 20, "--set", first)
     assert found.exit_code == 1, found.output
     assert f"Then {defect.check} fails" in found.stdout
-    sound = invoke("search", defect.write(tmp_path, planted=False), *asked, "--budget", 50, "--set", first)
+    name = defect.write(tmp_path, planted=False)
+    sound = invoke("search", name, *asked, "--budget", 50, "--set", first, "--out", "sound.yaml")
     assert sound.exit_code == 0, sound.output
     assert "none of 50 runs fails a check" in sound.stdout

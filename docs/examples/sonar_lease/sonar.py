@@ -1,12 +1,12 @@
-"""A lease of the water, as an asyncio program of its own: one member at a time uses its sonar. It knows nothing of uuv-fleet.
+"""A lease of the water, as an asyncio program that knows nothing of uuv-fleet: one member at a time uses its sonar.
 
     python sonar.py NUMBER MEMBERS [HOST]
     python sonar.py 1 3 10.0.0.{}
 
-Members talk over UDP; HOST is a pattern for the host of each. Who wants the water asks all members, itself included, for
-their votes. A member votes for one asker at a time, until this one frees the vote or the lease is over. With more than
-half of the votes the asker uses the water for 0.3 s, and frees the votes. Each ask has a number of its own. No answer
-is a no.
+Members talk over UDP; HOST is a pattern for the host of each. Who wants the water asks all members, itself included,
+for their votes. A member votes for one asker at a time, until this one frees the vote or the lease is over. With more
+than half of the votes the asker uses the water for 0.3 s, and frees the votes. Each ask has a number of its own. No
+answer is a no.
 
 It prints the time (CLOCK_MONOTONIC) with `1 sonar` when it begins, with `0 sonar` when it ends, and with its votes.
 """
@@ -77,7 +77,7 @@ class Member(asyncio.DatagramProtocol):
                 await self.say("1 sonar")
                 await asyncio.sleep(USE_S)
                 await self.say("0 sonar")
-        except asyncio.TimeoutError:
+        except TimeoutError:
             pass
         self.send([*self.hosts], "free", self.asked)
 

@@ -130,4 +130,4 @@ def test_a_search_finds_the_defect_and_nothing_without_it(defect: Planted, tmp_p
     name = defect.write(tmp_path, planted=False)
     sound = invoke("search", name, *asked, "--budget", 50, "--set", first, "--out", "sound.yaml")
     assert sound.exit_code == 0, sound.output
-    assert "none of 50 runs fails a check" in sound.stdout
+    assert f"none of 50 runs fails the check {defect.check}" in sound.stdout

@@ -102,18 +102,22 @@ class ProgramLoop(_Base):  # type: ignore[misc]
             self._write_to_self()
 
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> Any:
-        """Call a function soon, since computing takes no simulated time. Others run before who awaits it goes on."""
+        """Call a function in a thread of the program. Computing takes no simulated time, and waiting does."""
         future = self.create_future()
 
-        def call() -> None:
-            if future.cancelled():
-                return
-            try:
-                future.set_result(func(*args))
-            except Exception as error:
-                future.set_exception(error)
+        def settle(set_it: Callable[[Any], object], value: Any) -> None:
+            if not future.done():  # who awaited it may have been cancelled
+                set_it(value)
 
-        self.call_soon(call)
+        def work() -> None:
+            try:
+                result = func(*args)
+            except Exception as error:
+                self.call_from_outside(settle, future.set_exception, error)
+            else:
+                self.call_from_outside(settle, future.set_result, result)
+
+        self._turns.start(work)
         return future
 
     async def shutdown_default_executor(self, timeout: Any = None) -> None:

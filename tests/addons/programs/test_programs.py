@@ -263,6 +263,28 @@ def test_what_an_endpoint_or_a_thread_awaits_takes_a_turn_of_the_loop(run: RunPr
     assert run(text, order="seeded").status is Status.PASS
 
 
+def test_who_waits_in_a_thread_or_in_a_callback_blocks_what_it_would_in_asyncio(run: RunProgram) -> None:
+    result = run("""
+        import asyncio, time
+        async def tick():
+            for _ in range(2):
+                await asyncio.sleep(0.2)
+                print("tick", time.monotonic())
+        async def main():
+            other = asyncio.create_task(tick())
+            await asyncio.to_thread(time.sleep, 0.3)
+            print("thread", time.monotonic())
+            await other
+            other = asyncio.create_task(tick())
+            time.sleep(0.5)
+            print("callback", time.monotonic())
+            await other
+        asyncio.run(main())
+    """)
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert lines(result) == ["tick 0.2", "thread 0.3", "tick 0.4", "callback 0.9", "tick 1.1", "tick 1.3"]
+
+
 def test_a_program_that_was_changed_a_moment_ago_is_the_new_one(run: RunProgram) -> None:
     """Python's cache knows a file by its size and the second."""
     assert [lines(run(f"print({n})")) for n in range(5)] == [[str(n)] for n in range(5)]

@@ -103,12 +103,22 @@ class ProgramLoop(_Base):  # type: ignore[misc]
             self._write_to_self()
 
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> Any:
-        """Call a function at once, since computing takes no simulated time."""
+        """Call a function in a thread of the program. Computing takes no simulated time, and waiting does."""
         future = self.create_future()
-        try:
-            future.set_result(func(*args))
-        except Exception as error:
-            future.set_exception(error)
+
+        def settle(set_it: Callable[[Any], object], value: Any) -> None:
+            if not future.done():  # who awaited it may have been cancelled
+                set_it(value)
+
+        def work() -> None:
+            try:
+                result = func(*args)
+            except Exception as error:
+                self.call_from_outside(settle, future.set_exception, error)
+            else:
+                self.call_from_outside(settle, future.set_result, result)
+
+        self._turns.start(work)
         return future
 
     async def shutdown_default_executor(self, timeout: Any = None) -> None:
@@ -127,8 +137,16 @@ class ProgramLoop(_Base):  # type: ignore[misc]
         """A transport of datagrams between agents."""
         protocol = protocol_factory()
         transport = DatagramEndpoint(self, self._datagrams, protocol, local_addr, remote_addr)
-        self.call_soon(protocol.connection_made, transport)
-        await asyncio.sleep(0)
+        made = self.create_future()
+
+        def begin() -> None:  # one callback, since others may run in an order by chance
+            try:
+                protocol.connection_made(transport)
+            finally:
+                made.set_result(None)
+
+        self.call_soon(begin)
+        await made
         return transport, protocol
 
     def _refuse(self, *_: Any, **__: Any) -> Any:
@@ -251,15 +269,11 @@ class Runner:
         self._loops.set(None)
 
 
-async def _at_once(function: Callable[..., Any], /, *args: Any, **named: Any) -> Any:
-    return function(*args, **named)
-
-
 def asyncio_module(turns: Turns, datagrams: Datagrams, shuffle: Random | None) -> ModuleType:
     """The module `asyncio` of one program, whose loops are `ProgramLoop`."""
     loops = Loops(partial(ProgramLoop, turns, datagrams, shuffle))
     return stand_in(
         asyncio, run=loops.run, Runner=partial(Runner, loops), new_event_loop=loops.make, get_event_loop=loops.get,
-        set_event_loop=loops.set, SelectorEventLoop=loops.make, to_thread=_at_once,
+        set_event_loop=loops.set, SelectorEventLoop=loops.make,
         set_event_loop_policy=lambda _: None,
     )  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from asyncio import events
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -106,7 +108,12 @@ class Turns:
         if until_ns is not None:
             heappush(self._alarms, (until_ns, next(self._order), thread, thread.waits))
         assert self._hub is not None
+        running, hooks = events._get_running_loop(), sys.get_asyncgen_hooks()  # a callback of a loop may wait, too
+        events._set_running_loop(None)
+        sys.set_asyncgen_hooks(None, None)
         self._hub.switch()
+        events._set_running_loop(running)
+        sys.set_asyncgen_hooks(*hooks)
         if self.over:
             raise GreenletExit
         return thread.woken

@@ -260,6 +260,57 @@ def test_the_order_of_callbacks_is_fixed_or_by_chance(run: RunProgram) -> None:
     assert [lines(run(RACE, order="seeded"), agent)[0] for agent in (1, 2)] == seeded
 
 
+def test_what_an_endpoint_or_a_thread_awaits_takes_a_turn_of_the_loop(run: RunProgram) -> None:
+    """In any order of callbacks the endpoint is connected, and others run before the answer of a thread is there."""
+    text = """
+        import asyncio
+        class Peer(asyncio.DatagramProtocol):
+            def connection_made(self, transport): self.transport = transport
+        async def main():
+            loop, said = asyncio.get_running_loop(), []
+            for port in range(7000, 7010):
+                transport, peer = await loop.create_datagram_endpoint(Peer, local_addr=("0.0.0.0", port))
+                assert peer.transport is transport
+            async def other(): said.append("other")
+            task = loop.create_task(other())
+            said.append(await asyncio.to_thread(lambda: "thread"))
+            await task
+            print(said)
+            try: await asyncio.to_thread(int, "x")
+            except ValueError: print("raised")
+        asyncio.run(main())
+    """
+    assert lines(run(text)) == ["['other', 'thread']", "raised"]
+    assert run(text, order="seeded").status is Status.PASS
+
+
+def test_who_waits_in_a_thread_or_in_a_callback_blocks_what_it_would_in_asyncio(run: RunProgram) -> None:
+    result = run("""
+        import asyncio, time
+        async def tick():
+            for _ in range(2):
+                await asyncio.sleep(0.2)
+                print("tick", time.monotonic())
+        async def main():
+            other = asyncio.create_task(tick())
+            await asyncio.to_thread(time.sleep, 0.3)
+            print("thread", time.monotonic())
+            await other
+            other = asyncio.create_task(tick())
+            time.sleep(0.5)
+            print("callback", time.monotonic())
+            await other
+        asyncio.run(main())
+    """)
+    assert result.status is Status.PASS, (result.reason, result.lines)
+    assert lines(result) == ["tick 0.2", "thread 0.3", "tick 0.4", "callback 0.9", "tick 1.1", "tick 1.3"]
+
+
+def test_a_program_that_was_changed_a_moment_ago_is_the_new_one(run: RunProgram) -> None:
+    """Python's cache knows a file by its size and the second."""
+    assert [lines(run(f"print({n})")) for n in range(5)] == [[str(n)] for n in range(5)]
+
+
 def test_modules_beside_it_are_the_programs_own(run: RunProgram, tmp_path: Path) -> None:
     """Each agent, and each life, has its own state."""
     (tmp_path / "beside").mkdir()

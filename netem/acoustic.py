@@ -78,6 +78,8 @@ class AcousticChannel:
         self._access = Access(config, config.acoustic)
         self._air = Air(config.acoustic, config.seed, config.tick_ns)
         self._receptions: list[Reception] = []  # receptions that have not ended
+        # (src, seq, start tick, airtime [ns]) of each transmission that has begun; None: nobody wants to know.
+        self.begun: list[tuple[int, int, int, int]] | None = None
         self._asks = config.acoustic.ranging is not None and config.acoustic.ranging.method == "two-way"
         self._ranges = make_ranges(config, self._air, links.receivers)
 
@@ -278,6 +280,8 @@ class AcousticChannel:
     ) -> None:
         tick_ns = self._config.tick_ns
         airtime = self._acoustic.modem_of(src).airtime_ns(len(sent.payload))
+        if self.begun is not None:
+            self.begun.append((src, sent.seq, start, airtime))
         number = sent.seq + (TRY * (transfer.tried - 1) if transfer is not None else 0)
         for dst in self._links.receivers[src] if transfer is None else transfer.to[:1]:
             link = (src, dst)

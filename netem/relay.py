@@ -8,9 +8,10 @@ and records have the grain of a tick. In water a message waits for the next tick
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from heapq import heappop, heappush
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from msgspec import Struct, structs
@@ -20,6 +21,7 @@ from netem.cause import Cause
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.correlation import lost_share
+from netem.endpoint import HeardFrame, ModemEndpoint, SentFrame
 from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY
@@ -29,7 +31,13 @@ from netem.network import fate_order
 from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
 
-PUT, DELETE, QUERY, REPLY, DATAGRAM = ("put", "delete", "query", "reply", "datagram")
+PUT, DELETE, QUERY, REPLY, DATAGRAM, MODEM = ("put", "delete", "query", "reply", "datagram", "modem")
+_MOST_BEGUN = 10_000  # transmissions of modems whose beginnings are remembered
+
+
+# What a sender learns of its own modem, and what a receiver's modem notices.
+_UNSENT = frozenset({Cause.QUEUE, Cause.MTU, Cause.MUTE, Cause.DEAD_SENDER})
+_SPOILED = frozenset({Cause.COLLISION, Cause.SNR})
 
 
 class MessageFate(Fate, frozen=True):
@@ -85,6 +93,7 @@ class _Outbox(Transit):
         self.sizes: Counter[Link] = Counter()  # bytes under way
         self.full: set[Link] = set()  # links that have lost something because so much was under way
         self.final: list[MessageFate] = []
+        self.spoiled: list[tuple[Fate, RobotMessage]] | None = None  # losses of what modems send; None: nobody asks
         self.begin_ns = self.reported = 0  # nothing becomes final before this tick any more
         self._count = 0
 
@@ -126,6 +135,8 @@ class _Outbox(Transit):
     def lose(self, fate: Fate) -> None:
         part = self.now or self.named[fate.src, fate.seq]
         self.final.append(carried(fate, part, max(fate.final_tick, self.reported)))
+        if self.spoiled is not None and part.message.kind == MODEM:
+            self.spoiled.append((fate, part.message))
 
 
 def carried(fate: Fate, part: PacketPart, final_tick: int) -> MessageFate:
@@ -139,9 +150,23 @@ def carried(fate: Fate, part: PacketPart, final_tick: int) -> MessageFate:
 class Relay:
     """The packets between robots. `now_ns` never goes back from call to call."""
 
-    def __init__(self, config: NetemConfig, begin_ns: int, *, header: int = 0, fragments: bool = False) -> None:
-        """Begin tick 0 at `begin_ns`. `header`: bytes that each packet has beside its payload. `fragments`: in water, a
-        message that is longer than a packet is sent as several, which must all arrive.
+    def __init__(
+        self,
+        config: NetemConfig,
+        begin_ns: int,
+        *,
+        header: int = 0,
+        fragments: bool = False,
+        modems: Mapping[int, ModemEndpoint] = MappingProxyType({}),
+    ) -> None:
+        """Begin.
+
+        Args:
+            config: of the network.
+            begin_ns: when tick 0 begins.
+            header: bytes that each packet has beside its payload.
+            fragments: in water, a message that is longer than a packet is sent as several, which must all arrive.
+            modems: in water, by robot, modems that its programs open.
         """
         water = config.acoustic is not None
         self.config = config = replace(config, ideal=not water, round_ticks=1)
@@ -157,6 +182,9 @@ class Relay:
         self._out.begin_ns = begin_ns
         self._dry = None if water else IndependentLinks(config, self._links, self._out)
         self._water = AcousticChannel(config, self._links, self._out) if water else None
+        self._modems, self._begun = modems, dict[int, tuple[int, int]]()  # by message: when it began, and its airtime
+        if modems and self._water is not None:
+            self._water.begun, self._out.spoiled = [], []
         self._taken = 0
         self._leaving: dict[int, DueMessage] = {}  # given out by `handed` and not yet settled, by identity
         self._came: dict[int, list[tuple[PacketPart, bytes]]] = {}  # in water: what leaves at the next tick
@@ -329,9 +357,39 @@ class Relay:
         self._came = {}
         water.carry(MediumRound(tick, tick + 1, came, self.places, self._faults(tick)))
         self._next = tick + 1
+        if self._modems:
+            self._tell_modems(water)
         if came:
             named, under_way = self._out.named, water.under_way()
             self._out.named = {name: part for name, part in named.items() if name in under_way}
+
+    def _tell_modems(self, water: AcousticChannel) -> None:
+        """Tell modems what begins to be transmitted, and what is lost before or spoiled at a receiver."""
+        tick_ns = self.config.tick_ns
+        for src, seq, start, airtime_ns in water.begun or ():
+            message = self._out.named[src, seq].message
+            at_ns = self._begin_ns + start * tick_ns
+            self._begun[message.number] = at_ns, airtime_ns
+            if src in self._modems and message.kind == MODEM:
+                self._modems[src].sent(SentFrame(message.what.tag, at_ns, airtime_ns))
+        for fate, message in self._out.spoiled or ():
+            at_ns = self._begin_ns + fate.final_tick * tick_ns
+            if fate.cause in _UNSENT and fate.src in self._modems:
+                self._modems[fate.src].dropped(message.what.tag, fate.cause)
+            elif fate.cause in _SPOILED and fate.dst in self._modems:
+                self._modems[fate.dst].spoiled(fate.cause, at_ns)
+        water.begun, self._out.spoiled = [], []
+        while len(self._begun) > _MOST_BEGUN:
+            del self._begun[next(iter(self._begun))]
+
+    def frame_of(self, due: DueMessage) -> HeardFrame:
+        """What a modem hears with a message that is due."""
+        request, packet, acoustic = due.message.what, due.packet, self.config.acoustic
+        end_ns = self._begin_ns + packet.sent_tick * self.config.tick_ns + packet.delay_ns
+        processing_ns = 0 if acoustic is None else round(acoustic.modem_of(due.dst).processing * 1e9)
+        sent_ns, airtime_ns = self._begun.get(due.message.number, (end_ns, 0))
+        begin_ns = end_ns - processing_ns - airtime_ns
+        return HeardFrame(packet.src, request.to, request.what, due.payload, sent_ns, begin_ns, end_ns)
 
     def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""

@@ -18,18 +18,19 @@ from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
 from threading import Thread
 from time import monotonic_ns, process_time
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import Struct
 
 from netem.config import NetemConfig
 from netem.discovery import Discovery
+from netem.endpoint import ModemEndpoint, ModemRequest, Sea
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, QUERIES_WAITING, RELAY_WAITING
-from netem.relay import DATAGRAM, PUT, QUERY, REPLY, DueMessage, MessageFate, Relay, RobotMessage
+from netem.relay import DATAGRAM, MODEM, PUT, QUERY, REPLY, DueMessage, MessageFate, Relay, RobotMessage
 from netem.wire import robots
 from netem.wire.robot_queues import Inlet
 from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, Unfit
@@ -78,6 +79,7 @@ class Setup(Struct):
     linked: bool = False  # discovery
     lost_after_ns: int = 0
     watched: tuple[Watched, ...] = ()
+    modems: tuple[Any, ...] = ()  # modems that programs open: each a `ModemEndpoint`
     ticks: int = 2**62  # the length of the run, if the console does not end it
 
 
@@ -120,6 +122,11 @@ class RelayReport(Struct):
     closing: dict[str, Any] | None = None  # with the last report: counts and lateness
 
 
+class _Moved(NamedTuple):
+    robot: int
+    place: tuple[float, ...]
+
+
 class _Datagram(Struct):
     port: Port
     at_ns: int
@@ -157,6 +164,7 @@ class RelayProcess:
         self._robots: dict[int, Robot] = {}
         self._sockets: dict[tuple[int, int], socket.socket] = {}
         self._senders: dict[int, tuple[Any, int]] = {}  # by robot: where its datagrams come from, and since when
+        self._modems: dict[int, ModemEndpoint] = {}  # by robot
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
         self._said: list[LoggedMessage] = []
@@ -178,6 +186,9 @@ class RelayProcess:
             for access in setup.robots:
                 if access.listen or access.connect:
                     self._robots[access.number] = Robot(access, setup.carry, self._inlets[access.number])
+            for modem in setup.modems:
+                modem.listen()
+                self._modems[modem.number] = modem
             for port in setup.ports:
                 self._sockets[port.src, port.dst] = _bound(port)
             self._targets = {port: (_address(port.host), port.to) for port in setup.ports}
@@ -232,7 +243,8 @@ class RelayProcess:
 
     def _made(self, begin_ns: int, *, rehearses: bool) -> Relay:
         config = replace(self._setup.config, faults=()) if rehearses else self._setup.config
-        relay = Relay(config, begin_ns, header=self._setup.header, fragments=self._setup.fragments)
+        more = {"header": self._setup.header, "fragments": self._setup.fragments, "modems": self._modems}
+        relay = Relay(config, begin_ns, **more)  # type: ignore[arg-type]
         relay.places.update(self._setup.places)
         return relay
 
@@ -248,8 +260,30 @@ class RelayProcess:
         self._relay = self._made(self._begin_ns or 0, rehearses=False)
         self._relay.places.update(self._rehearsal.places)
 
+    def _begin_modems(self, begin_ns: int) -> None:
+        acoustic = self._setup.config.acoustic
+        if acoustic is None:
+            return
+        numbers, tick_s = tuple(self._setup.config.vehicles), self._setup.config.tick_ns / 1e9
+        access_s = tick_s * max(acoustic.backoff_ticks, len(numbers) * acoustic.slot_ticks)
+        for i, modem in self._modems.items():
+
+            def place(i: int = i) -> tuple[float, ...]:
+                return self._relay.places.get(i, (0.0, 0.0, 0.0))
+
+            def move(to: tuple[float, ...], i: int = i) -> None:
+                self._queue.put(_Moved(i, to))
+
+            longest = acoustic.longest(self._setup.config.tick_ns, i) - self._setup.header
+            names = tuple(access.name for access in self._setup.robots)
+            modem.begin(
+                Sea(acoustic.modem_of(i), longest, acoustic.buffer, access_s, acoustic.sound_speed, begin_ns, numbers,
+                    names, self._queue.put, place, move)
+            )  # fmt: skip
+
     def _serve(self) -> None:
         assert self._begin_ns is not None
+        self._begin_modems(self._begin_ns)
         config, begin_ns = self._setup.config, self._begin_ns
         reported = 0  # rounds
         while self._end is None:
@@ -303,6 +337,11 @@ class RelayProcess:
                     if watched.robot == port.src and watched.key == key:
                         self._watched.append(WatchedMessage(which, at_ns, key, payload))
                 self._send_message(RobotMessage(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
+            case ModemRequest(src, to, what, payload):
+                key = f"{MODEM}/{what}"
+                self._send_message(RobotMessage(src, MODEM, key, payload, monotonic_ns(), item, to))
+            case _Moved(number, place):
+                self._relay.places[number] = place
             case WatchedMessage():
                 self._watched.append(item)
             case dict():
@@ -382,8 +421,17 @@ class RelayProcess:
                 at_ns = monotonic_ns()
                 self._relay.late.add(at_ns - due.due_ns)
                 self._has_ended(due, at_ns, delivered=self._sent(due))
+            elif due.message.kind == MODEM and (modem := self._modems.get(due.dst)) is not None:
+                self._heard(due, modem)
             elif not self._offered(due):
                 self._has_ended(due, monotonic_ns(), delivered=False)
+
+    def _heard(self, due: DueMessage, modem: ModemEndpoint) -> None:
+        """Give a frame to a modem that programs open; it is there then, whether one listens or not."""
+        modem.heard(self._relay.frame_of(due))
+        at_ns = monotonic_ns()
+        self._relay.late.add(at_ns - due.due_ns)
+        self._has_ended(due, at_ns, delivered=True)
 
     def _offered(self, due: DueMessage) -> bool:
         """Give a message to the outlet of its robot. False: the robot has none, or too much waits there."""
@@ -538,6 +586,8 @@ class RelayProcess:
     def _close(self) -> None:
         for each in self._sockets.values():
             each.close()
+        for modem in self._modems.values():
+            modem.close()
         for robot in self._robots.values():
             robot.close()
 

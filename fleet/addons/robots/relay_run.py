@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import Pipe
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -19,6 +19,8 @@ import msgpack
 import msgspec
 
 from fleet.addons.robots.message_log import MessageLog, place_of
+from fleet.addons.robots.modems.modem import ModemCore
+from fleet.addons.robots.modems.unet import Unet
 from fleet.addons.robots.programs import Programs
 from fleet.analysis.robot_addresses import lines
 from fleet.errors import FleetError, RunBroken
@@ -34,6 +36,7 @@ from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
 from netem import relay_process
+from netem.endpoint import ModemEndpoint
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
 from netem.relay_process import MOST_NOTES, Opened, Port, RelayReport, Setup, Watched
@@ -105,8 +108,16 @@ def setup_of(
         linked=spec.discovery == "linked",
         lost_after_ns=spec.lost_after or LOST_AFTER_NS,
         watched=tuple(watched),
+        modems=tuple(modems_of(scenario)),
         ticks=scenario.ticks,
     )
+
+
+def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
+    """The modems that programs open, of the nodes that have one."""
+    for i, node in enumerate((scenario.spec.nodes or {}).values(), start=1):
+        if node.modem is not None and node.modem.unet is not None:
+            yield ModemCore(i, Unet, node.modem.unet, node.modem.host)
 
 
 class RelayRun:

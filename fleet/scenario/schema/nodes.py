@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
@@ -69,6 +69,13 @@ class TopicPlace(Section):
     topic: str
 
 
+class ModemPortSection(Section):
+    """An acoustic modem that programs of the node open, in one of the languages of modems."""
+
+    unet: Annotated[int, Field(ge=1, le=65535)] | None = None  # TCP port, as UnetStack has 1100
+    host: str = "127.0.0.1"  # the address that it listens on
+
+
 class Node(Section):
     """A robot that is not ours: its programs connect to an address of ours, or we join a router of theirs."""
 
@@ -77,13 +84,19 @@ class Node(Section):
     zenoh: str | None = None  # a file of zenoh's configuration, for TLS and credentials
     # Datagrams to our port leave for a program of another node: "9000": auv2:9100, or auv2:HOST:9100, or auv2.
     udp: dict[Annotated[str, BeforeValidator(_port)], Annotated[str, BeforeValidator(_target)]] = {}
+    modem: ModemPortSection | None = None
     place: TopicPlace | v.Position | None = None  # NED; in ROS topics ENU
 
 
 def without_address(nodes: Mapping[str, Node]) -> list[str]:
     """The nodes that say no address. Each gets a router of ours at a free port of this host."""
     receives = {text.partition(":")[0] for node in nodes.values() for text in node.udp.values()}
-    return [name for name, node in nodes.items() if not (node.listen or node.connect or node.udp or name in receives)]
+
+    def has_none(name: str, node: Node) -> bool:
+        modem_alone = node.modem is not None and not isinstance(node.place, TopicPlace)
+        return not (node.listen or node.connect or node.udp or name in receives or modem_alone)
+
+    return [name for name, node in nodes.items() if has_none(name, node)]
 
 
 NodeName = Annotated[str, BeforeValidator(_name)]

@@ -1,0 +1,217 @@
+"""The port of a modem: clients on TCP, or one on a pseudo terminal, who speak in lines; served by one thread.
+
+A client that sends rubbish, no line feed, or takes nothing hurts only itself: a line that is too long, and answers that
+nobody takes, end its connection.
+"""
+
+from __future__ import annotations
+
+import os
+import selectors
+import socket
+import traceback
+import tty
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any, Protocol
+
+from netem.errors import BusError
+
+MOST_LINE = 1 << 20  # bytes: a fjage message with a payload in text is far shorter
+MOST_WAITING = 1 << 20  # bytes that a client leaves waiting
+MOST_CLIENTS = 64
+_READ = 1 << 16
+
+
+class Client:
+    """One program that has opened the modem."""
+
+    def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
+        self.descriptor, self.close = descriptor, close
+        self.said = b""  # the beginning of a line
+        self.waiting = bytearray()  # what it has not taken yet
+        self.state: Any = None  # the translator's own
+
+
+class Translator(Protocol):
+    """The language of a modem. All calls come on the thread of its port."""
+
+    delimiter: bytes  # ends a line of a client
+
+    def opened(self, client: Client) -> None:
+        """A program has opened the modem."""
+
+    def line(self, client: Client, line: bytes) -> None:
+        """A program has said a line."""
+
+    def closed(self, client: Client) -> None:
+        """A program is gone."""
+
+
+class LinePort:
+    """The clients of one modem, and the thread that serves them."""
+
+    def __init__(self, translator: Translator, tick: Callable[[], float | None]) -> None:
+        """Prepare it.
+
+        Args:
+            translator: understands what clients say.
+            tick: called after each event; returns after how many seconds it has to be called again, or None.
+        """
+        self._translator, self._tick = translator, tick
+        self._selector = selectors.DefaultSelector()
+        self._events: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._wake, self._woken = os.pipe()[::-1]
+        os.set_blocking(self._wake, False)
+        os.set_blocking(self._woken, False)
+        self._selector.register(self._woken, selectors.EVENT_READ, self._drain)
+        self._thread = Thread(target=self._serve, daemon=True)
+        self._over = False
+        self._link: Path | None = None
+        self.clients: list[Client] = []
+        self.port = 0
+
+    def listen(self, host: str, port: int) -> None:
+        """Listen on TCP. Raises BusError: the port cannot be used."""
+        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listening.bind((host, port))
+        except OSError as error:
+            listening.close()
+            raise BusError(f"cannot listen on {host}:{port} for modem clients: {error.strerror}") from None
+        listening.listen(16)
+        listening.setblocking(False)
+        self.port = listening.getsockname()[1]
+        self._selector.register(listening, selectors.EVENT_READ, lambda: self._accept(listening))
+
+    def open_terminal(self, path: Path) -> None:
+        """Make a pseudo terminal that programs open by a path. Raises BusError: something else is there."""
+        ours, theirs = os.openpty()
+        tty.setraw(theirs)
+        try:
+            if path.is_symlink() and not path.exists():
+                path.unlink()  # of a run that was killed
+            path.symlink_to(os.ttyname(theirs))
+        except OSError as error:
+            raise BusError(f"cannot make the terminal {path}: {error.strerror}") from None
+        self._link = path
+        os.set_blocking(ours, False)
+        # `theirs` stays open: a terminal that nobody holds open gives an error to us when a client goes.
+        self._add(Client(ours, lambda: None))
+
+    def begin(self) -> None:
+        """Serve from now on."""
+        self._thread.start()
+
+    def post(self, event: Callable[[], None]) -> None:
+        """Let the thread of the port call something."""
+        self._events.put(event)
+        with suppress(BlockingIOError, OSError):
+            os.write(self._wake, b"!")
+
+    def say(self, client: Client, data: bytes) -> None:
+        """Send a client something, at once or when it takes it."""
+        if client not in self.clients:
+            return
+        client.waiting += data
+        self._flush(client)
+        if len(client.waiting) > MOST_WAITING:
+            self.end(client)
+
+    def end(self, client: Client) -> None:
+        """End a connection."""
+        if client not in self.clients:
+            return
+        self.clients.remove(client)
+        with suppress(KeyError, ValueError):
+            self._selector.unregister(client.descriptor)
+        client.close()
+        self._translator.closed(client)
+
+    def close(self) -> None:
+        """End everything."""
+        self._over = True
+        self.post(lambda: None)
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+        for key in list(self._selector.get_map().values()):
+            with suppress(OSError):
+                if isinstance(key.fileobj, socket.socket):
+                    key.fileobj.close()
+        for client in list(self.clients):
+            client.close()
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+    def _serve(self) -> None:
+        while not self._over:
+            wait_s = self._tick()
+            for key, _ in self._selector.select(wait_s):
+                key.data()
+
+    def _drain(self) -> None:
+        with suppress(BlockingIOError):
+            os.read(self._woken, _READ)
+        with suppress(Empty):
+            while True:
+                self._events.get_nowait()()
+
+    def _accept(self, listening: socket.socket) -> None:
+        try:
+            made, _ = listening.accept()
+        except OSError:
+            return
+        if len(self.clients) >= MOST_CLIENTS:
+            made.close()
+            return
+        made.setblocking(False)
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._add(Client(made.fileno(), made.close))
+
+    def _add(self, client: Client) -> None:
+        self.clients.append(client)
+        self._selector.register(client.descriptor, selectors.EVENT_READ, lambda: self._ready(client))
+        self._translator.opened(client)
+
+    def _ready(self, client: Client) -> None:
+        self._flush(client)
+        try:
+            data = os.read(client.descriptor, _READ)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self.end(client)
+            return
+        *lines, client.said = (client.said + data).split(self._translator.delimiter)
+        if len(client.said) > MOST_LINE:
+            self.end(client)
+            return
+        for line in lines:
+            if client not in self.clients:
+                return
+            try:
+                self._translator.line(client, line)
+            except Exception:  # a defect of ours at an odd line costs this client alone; the relay's log has it
+                traceback.print_exc()
+                self.end(client)
+
+    def _flush(self, client: Client) -> None:
+        try:
+            while client.waiting:
+                del client.waiting[: os.write(client.descriptor, client.waiting)]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.end(client)
+            return
+        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if client.waiting else 0)
+        with suppress(KeyError, ValueError):
+            key = self._selector.get_key(client.descriptor)
+            if key.events != wanted:
+                self._selector.modify(client.descriptor, wanted, key.data)

@@ -1,0 +1,252 @@
+"""The core of a modem that programs open: its address, its queue, what it is doing, its statistics, and ranging.
+
+Payloads wait here in order, and one at a time is in the channel. So a full queue can refuse, and be emptied.
+
+A range is measured by a request and an answer. The answer says when the request had come, so that the time in between
+can be taken off, as a modem with a fixed turn-around does.
+
+| symbol | meaning | unit |
+|---|---|---|
+| t0, t3 | when the request left, and its answer came | s |
+| t1, t2 | when the request came, and the answer left | s |
+| c | sound speed | m/s |
+
+range = c ((t3 - t0) - (t2 - t1)) / 2
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from struct import Struct
+from time import monotonic_ns
+from typing import Any, Literal, Protocol
+
+from fleet.addons.robots.modems.line_port import LinePort, Translator
+from netem.cause import Cause
+from netem.endpoint import EVERYBODY, HeardFrame, ModemRequest, Sea, SentFrame
+
+RANGING = 1  # the protocol number of requests and answers of ranging, as UnetStack has it
+_ANSWER = Struct("<q")  # when the request had come [ns]
+_REQUEST = b"?"
+SLACK_S = 5.0  # beside travel and airtime, until a range counts as missing: others may be on the air
+State = Literal["idle", "transmitting"]
+
+
+class ModemLanguage(Translator, Protocol):
+    """A translator, and what the modem tells it."""
+
+    def begin(self, modem: ModemCore) -> None:
+        """The channel carries from now on."""
+
+    def heard(self, frame: HeardFrame) -> None:
+        """A payload has arrived for this modem, or for all."""
+
+    def spoiled(self, cause: Cause, at_ns: int) -> None:
+        """A reception has failed."""
+
+
+@dataclass(slots=True)
+class Job:
+    """A payload that waits, or is in the channel."""
+
+    payload: bytes
+    to: int  # an address; EVERYBODY: all
+    what: int
+    sent: Callable[[SentFrame], None] = lambda _: None
+    dropped: Callable[[Cause], None] = lambda _: None
+
+
+@dataclass(slots=True)
+class _Ranging:
+    to: int
+    then: Callable[[float | None], None]  # gets the range [m]; None: no answer came
+    sent_ns: int = 0
+
+
+@dataclass(slots=True)
+class Statistics:
+    """What a modem has counted."""
+
+    sent: int = 0
+    heard: int = 0
+    spoiled: Counter[Cause] = field(default_factory=Counter)
+
+
+class ModemCore:
+    """A modem endpoint in any language. It is handed to the process of the relay before it has begun."""
+
+    def __init__(
+        self, number: int, make: Callable[[], ModemLanguage], port: int, host: str, terminal: str = ""
+    ) -> None:
+        """Prepare it; nothing is opened.
+
+        Args:
+            number: of its robot, which is its address.
+            make: makes its language.
+            port: on which it listens; 0: any.
+            host: of the port; 127.0.0.1 is seen by this machine alone.
+            terminal: the path of a pseudo terminal, in place of a port; empty: there is none.
+        """
+        self.number, self._make, self._where, self._terminal = number, make, (host, port), terminal
+        self.address = number
+        self.statistics = Statistics()
+        self.sea: Sea = None  # type: ignore[assignment]  # `begin` sets it, before anything asks
+        self._waiting: deque[Job] = deque()
+        self._now: Job | None = None  # in the channel
+        self._busy_until_ns = 0
+        self._ranging: list[_Ranging] = []
+        self._alarms: list[tuple[int, int, Callable[[], None]]] = []  # a heap
+        self._set = 0
+
+    # The relay's thread.
+
+    def listen(self) -> None:
+        """See `ModemEndpoint`."""
+        from pathlib import Path
+
+        self.language = self._make()
+        self.line_port = LinePort(self.language, self._tick)
+        if self._terminal:
+            self.line_port.open_terminal(Path(self._terminal))
+        else:
+            self.line_port.listen(*self._where)
+
+    def begin(self, sea: Sea) -> None:
+        """See `ModemEndpoint`."""
+        self.sea = sea
+        self.language.begin(self)
+        self.line_port.begin()
+
+    def sent(self, frame: SentFrame) -> None:
+        """See `ModemEndpoint`."""
+        self.line_port.post(lambda: self._has_sent(frame))
+
+    def dropped(self, tag: Any, cause: Cause) -> None:
+        """See `ModemEndpoint`."""
+        self.line_port.post(lambda: self._was_dropped(tag, cause))
+
+    def heard(self, frame: HeardFrame) -> None:
+        """See `ModemEndpoint`."""
+        self.line_port.post(lambda: self._hears(frame))
+
+    def spoiled(self, cause: Cause, at_ns: int) -> None:
+        """See `ModemEndpoint`."""
+
+        def tell() -> None:
+            self.statistics.spoiled[cause] += 1
+            self.language.spoiled(cause, at_ns)
+
+        self.line_port.post(tell)
+
+    def close(self) -> None:
+        """See `ModemEndpoint`."""
+        self.line_port.close()
+
+    # What a language asks, on the thread of the port.
+
+    @property
+    def state(self) -> State:
+        """What it is doing."""
+        return "transmitting" if monotonic_ns() < self._busy_until_ns else "idle"
+
+    @property
+    def busy(self) -> bool:
+        """Whether something waits, or is being transmitted."""
+        return self._now is not None or bool(self._waiting) or self.state == "transmitting"
+
+    @property
+    def now_us(self) -> int:
+        """The time of the run [us]."""
+        return (monotonic_ns() - self.sea.begin_ns) // 1000
+
+    def us(self, at_ns: int) -> int:
+        """A time of CLOCK_MONOTONIC [ns] as a time of the run [us]."""
+        return (at_ns - self.sea.begin_ns) // 1000
+
+    def submit(self, job: Job) -> str:
+        """Take a payload for transmission. Returns why it cannot be taken; empty: it waits, or is on its way."""
+        if len(job.payload) > self.sea.mtu:
+            return f"{len(job.payload)} bytes are more than the MTU of {self.sea.mtu}"
+        if job.to != EVERYBODY and job.to not in self.sea.numbers:
+            return f"there is no node with the address {job.to}"
+        if len(self._waiting) >= self.sea.queue:
+            return "the queue is full"
+        self._waiting.append(job)
+        self._go_on()
+        return ""
+
+    def clear(self) -> None:
+        """Forget what waits; what is in the channel goes on."""
+        self._waiting.clear()
+
+    def range_to(self, to: int, then: Callable[[float | None], None]) -> str:
+        """Measure the range to a modem. Returns why it cannot be tried; empty: `then` gets the range, or None."""
+        travel_s = 2 * self.sea.modem.max_range / self.sea.sound_speed
+        air_s = 2 * self.sea.modem.airtime_ns(_ANSWER.size) / 1e9
+        ranging = _Ranging(to, then)
+
+        def left(frame: SentFrame) -> None:
+            ranging.sent_ns = frame.at_ns
+
+        if why := self.submit(Job(_REQUEST, to, RANGING, left)):
+            return why
+        self._ranging.append(ranging)
+
+        def gives_up() -> None:
+            if ranging in self._ranging:
+                self._ranging.remove(ranging)
+                then(None)
+
+        self.after(travel_s + air_s + 2 * self.sea.access_s + SLACK_S, gives_up)
+        return ""
+
+    def after(self, wait_s: float, then: Callable[[], None]) -> None:
+        """Call something after a time [s], on the thread of the port."""
+        self._set += 1
+        heappush(self._alarms, (monotonic_ns() + round(wait_s * 1e9), self._set, then))
+
+    # Events.
+
+    def _go_on(self) -> None:
+        if self._now is None and self._waiting:
+            job = self._now = self._waiting.popleft()
+            to = None if job.to == EVERYBODY else job.to
+            self.sea.send(ModemRequest(self.number, to, job.what, job.payload, id(job)))
+
+    def _has_sent(self, frame: SentFrame) -> None:
+        job = self._now
+        if job is None or id(job) != frame.tag:
+            return
+        self.statistics.sent += 1
+        self._now, self._busy_until_ns = None, frame.at_ns + frame.airtime_ns
+        job.sent(frame)
+        self._go_on()
+
+    def _was_dropped(self, tag: Any, cause: Cause) -> None:
+        job = self._now
+        if job is None or id(job) != tag:
+            return  # it is told for each receiver
+        self._now = None
+        job.dropped(cause)
+        self._go_on()
+
+    def _hears(self, frame: HeardFrame) -> None:
+        self.statistics.heard += 1
+        if frame.what != RANGING:
+            self.language.heard(frame)
+        elif frame.payload == _REQUEST:
+            self.submit(Job(_ANSWER.pack(frame.begin_ns), frame.src, RANGING))
+        elif len(frame.payload) == _ANSWER.size:
+            (came_ns,) = _ANSWER.unpack(frame.payload)
+            for one in [one for one in self._ranging if one.to == frame.src and one.sent_ns]:
+                self._ranging.remove(one)
+                travel_ns = (frame.begin_ns - one.sent_ns) - (frame.sent_ns - came_ns)
+                one.then(self.sea.sound_speed * travel_ns / 2e9)
+
+    def _tick(self) -> float | None:
+        while self._alarms and self._alarms[0][0] <= monotonic_ns():
+            heappop(self._alarms)[2]()
+        return max(0.0, (self._alarms[0][0] - monotonic_ns()) / 1e9) if self._alarms else None

@@ -1,0 +1,377 @@
+"""The language of UnetStack: lines of JSON over TCP, as fjage has them, and the agents and messages of a node.
+
+Written from the clients of others (fjagepy 2.2 and unetpy 4.1 of PyPI) and from the pages "JSON protocol" of fjage and
+"Unet handbook" of UnetStack. What is answered, and what is not, is in docs/guide/modems.md.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from itertools import count
+from typing import Any
+
+from fleet.addons.robots.modems.line_port import Client
+from fleet.addons.robots.modems.modem import Job, ModemCore
+from netem.cause import Cause
+from netem.endpoint import EVERYBODY, HeardFrame, SentFrame
+
+_UNET = "org.arl.unet"
+_SERVICE = f"{_UNET}.Services."
+_FJAGE = "org.arl.fjage"
+DATAGRAM_TOPIC, PARAMETER_TOPIC = f"#{_UNET}.Topics.DATAGRAM", f"#{_UNET}.Topics.PARAMCHANGE"
+NODE, ADDRESSES, PHYSICAL, RANGER, LINK = "node", "arp", "phy", "ranging", "uwlink"
+# The first agent of a service is the one that a client gets.
+SERVICES = {
+    f"{_SERVICE}NODE_INFO": [NODE],
+    f"{_SERVICE}ADDRESS_RESOLUTION": [ADDRESSES],
+    f"{_SERVICE}PHYSICAL": [PHYSICAL],
+    f"{_SERVICE}DATAGRAM": [PHYSICAL, LINK],
+    f"{_SERVICE}RANGING": [RANGER],
+    f"{_SERVICE}LINK": [LINK],
+}
+AGENTS = (NODE, ADDRESSES, PHYSICAL, RANGER, LINK)
+CONTROL, DATA = 1, 2  # types of frames, and the indices of their parameters
+LINK_PROTOCOL = 2  # of frames of the link, as UnetStack has it
+_RESERVED = range(1, 32)  # protocol numbers of UnetStack's own agents
+_MOST_TRIES = 3  # of the link, where the modem itself does not acknowledge
+_ACKNOWLEDGEMENT, _CARRIED = 0, 1  # first byte of a frame of the link
+_WAIT_S = 2.0  # beside travel and airtime, until an acknowledgement counts as missing
+
+
+class Unet:
+    """The node of one modem."""
+
+    delimiter = b"\n"
+
+    def __init__(self) -> None:
+        self._numbers = count(1)
+        self._name = ""
+        self._location: list[float] | None = None  # east, north, up [m]; None: the client has set none
+        self._linked: dict[int, _Linked] = {}  # by number of a frame: what waits for its acknowledgement
+        self._seen: dict[int, int] = {}  # by sender: the number of the last frame of the link
+
+    def begin(self, modem: ModemCore) -> None:
+        """See `ModemLanguage`."""
+        self._modem = modem
+        self._name = modem.sea.names[modem.number - 1]
+
+    # Clients.
+
+    def opened(self, client: Client) -> None:
+        """See `Translator`."""
+        client.state = frozenset[str]()  # topics and agents whose messages it wants
+
+    def closed(self, client: Client) -> None:
+        """See `Translator`."""
+
+    def line(self, client: Client, line: bytes) -> None:
+        """See `Translator`. What is no JSON of fjage is dropped, as a container of fjage drops it."""
+        try:
+            said = json.loads(line)
+        except (ValueError, RecursionError):
+            return
+        if not isinstance(said, dict) or self._modem_is_not_here():
+            return
+        if "alive" in said and "action" not in said:
+            if said["alive"] is False:
+                self._modem.line_port.end(client)
+            return
+        action, answer = said.get("action"), {"id": said.get("id"), "inResponseTo": said.get("action")}
+        match action:
+            case "agents":
+                self._say(client, answer | {"agentIDs": list(AGENTS), "agentTypes": [f"{_UNET}.{a}" for a in AGENTS]})
+            case "containsAgent":
+                self._say(client, answer | {"answer": said.get("agentID") in AGENTS})
+            case "services":
+                self._say(client, answer | {"services": list(SERVICES)})
+            case "agentForService":
+                found = SERVICES.get(str(said.get("service")))
+                self._say(client, answer | ({"agentID": found[0]} if found else {}))
+            case "agentsForService":
+                self._say(client, answer | {"agentIDs": SERVICES.get(str(said.get("service")), [])})
+            case "wantsMessagesFor":
+                wanted = said.get("agentIDs")
+                client.state = frozenset(map(str, wanted[:1000] if isinstance(wanted, list) else ()))
+            case "send":
+                self._take(client, said.get("message"))
+
+    def _modem_is_not_here(self) -> bool:
+        return not hasattr(self, "_modem")
+
+    def _say(self, client: Client, values: Mapping[str, Any]) -> None:
+        self._modem.line_port.say(client, json.dumps(values).encode() + b"\n")
+
+    def _tell(self, client: Client, name: str, agent: str, to: str, /, **data: Any) -> None:
+        """Send a client a message of an agent."""
+        whole = {"msgID": f"{self._modem.number}-{next(self._numbers)}", "perf": "INFORM", "sender": agent}
+        message = {"clazz": name, "data": whole | {"recipient": to} | data}
+        self._say(client, {"id": whole["msgID"], "action": "send", "message": message, "relay": False})
+
+    def _publish(self, name: str, agent: str, topics: tuple[str, ...] = (), /, **data: Any) -> None:
+        """Send a message to each client that listens, once, whatever number of its topics it listens to."""
+        for client in list(self._modem.line_port.clients):
+            for topic in (*topics, f"#{agent}__ntf", f"#{agent}"):
+                if topic in client.state:
+                    self._tell(client, name, agent, topic, **data)
+                    break
+
+    # Requests.
+
+    def _take(self, client: Client, message: Any) -> None:
+        data = message.get("data") if isinstance(message, dict) else None
+        if not isinstance(data, dict):
+            return
+        agent, kind = str(data.get("recipient")), str(message.get("clazz")).rpartition(".")[2]
+        reply = _Reply(self, client, agent, data)
+        if agent not in AGENTS:
+            return  # as a container does with a message for an agent that is not there
+        handlers: dict[tuple[str, str], Callable[[_Reply, dict[str, Any]], None]] = {
+            (PHYSICAL, "DatagramReq"): self._frame,
+            (PHYSICAL, "TxFrameReq"): self._frame,
+            (PHYSICAL, "ClearReq"): self._clear,
+            (LINK, "DatagramReq"): self._datagram,
+            (RANGER, "RangeReq"): self._range,
+            (ADDRESSES, "AddressResolutionReq"): self._resolve,
+        }
+        handler = self._parameters if kind == "ParameterReq" else handlers.get((agent, kind))
+        if handler is None:
+            reply.perform("NOT_UNDERSTOOD")
+            return
+        handler(reply, data)
+
+    def _clear(self, reply: _Reply, _: dict[str, Any]) -> None:
+        self._modem.clear()
+        reply.perform("AGREE")
+
+    def _resolve(self, reply: _Reply, data: dict[str, Any]) -> None:
+        names = self._modem.sea.names
+        if (name := str(data.get("name"))) in names:
+            address = self._modem.sea.numbers[names.index(name)]
+            reply.tell(f"{_UNET}.addr.AddressResolutionRsp", address=address, name=name)
+        else:
+            reply.perform("FAILURE")
+
+    def _range(self, reply: _Reply, data: dict[str, Any]) -> None:
+        to = _whole(data.get("to"))
+
+        def measured(range_m: float | None) -> None:
+            if range_m is None:
+                reply.tell(f"{_UNET}.phy.BadRangeNtf", to=to)
+            else:
+                reply.tell(f"{_UNET}.localization.RangeNtf", to=to, range=range_m, rxTime=self._modem.now_us)
+
+        why = "ranges are to one node" if to in (None, EVERYBODY) else self._modem.range_to(to or 0, measured)
+        reply.agree(why)
+
+    def _frame(self, reply: _Reply, data: dict[str, Any]) -> None:
+        kind = CONTROL if _whole(data.get("type")) == CONTROL else DATA
+
+        def sent(frame: SentFrame) -> None:
+            at_us, airtime_us = self._modem.us(frame.at_ns), frame.airtime_ns // 1000
+            reply.tell(f"{_UNET}.phy.TxFrameNtf", txTime=at_us, type=kind, duration=airtime_us / 1000)
+
+        def dropped(cause: Cause) -> None:
+            reply.tell(f"{_UNET}.DatagramFailureNtf", to=to, reason=str(cause))
+
+        to, payload = _whole(data.get("to")) or EVERYBODY, payload_of(data.get("data"))
+        what = _whole(data.get("protocol")) or 0
+        if payload is None:
+            reply.agree("the data are no bytes")
+        elif not 0 <= what <= 63:
+            reply.agree(f"there is no protocol {what}: they are 0 to 63")
+        else:
+            reply.agree(self._modem.submit(Job(payload, to, what, sent, dropped)))
+
+    def _datagram(self, reply: _Reply, data: dict[str, Any]) -> None:
+        """A datagram of the link: acknowledged and tried again, if it asks for that."""
+        to, what = _whole(data.get("to")) or EVERYBODY, _whole(data.get("protocol")) or 0
+        payload = payload_of(data.get("data"))
+        if not data.get("reliability") or to == EVERYBODY or payload is None:
+            self._frame(reply, data)
+            return
+        number = next(n for n in (n % 256 for n in self._numbers) if n not in self._linked)
+        linked = _Linked(self, reply, to, bytes((_CARRIED, number, what)) + payload, number)
+        if why := linked.send():
+            reply.agree(why)
+            return
+        self._linked[number] = linked
+        reply.agree("")
+
+    def _parameters(self, reply: _Reply, data: dict[str, Any]) -> None:
+        index = _whole(data.get("index"))
+        asked = [one for one in [data, *(data.get("requests") or [])] if isinstance(one, dict) and one.get("param")]
+        values, readonly = self._values(reply.agent, -1 if index is None else index), []
+        for one in asked:
+            name = str(one["param"]).rpartition(".")[2]
+            if "value" in one and one["value"] is not None:
+                self._set(reply.agent, name, one["value"])
+                values = self._values(reply.agent, -1 if index is None else index)
+        readonly = [name for name in values if (reply.agent, name) != (NODE, "location")]
+        names = [str(one["param"]).rpartition(".")[2] for one in asked] or list(values)
+        found = {name: values.get(name) for name in names}
+        first = names[0] if asked else None
+        rest = {name: value for name, value in found.items() if name != first}
+        reply.tell(
+            f"{_FJAGE}.param.ParameterRsp", index=-1 if index is None else index, param=first,
+            value=found.get(first) if first else None, values=rest or None, readonly=readonly,
+        )  # fmt: skip
+
+    def _values(self, agent: str, index: int) -> dict[str, Any]:
+        modem, sea = self._modem, self._modem.sea
+        if agent == NODE:
+            north, east, down = sea.place()[:3]
+            place = self._location or [east, north, -down]
+            return {"address": modem.address, "nodeName": self._name, "addressSize": 8, "location": place,
+                    "origin": [None, None], "mobility": False}  # fmt: skip
+        if agent == PHYSICAL:
+            rate = 8 * sea.mtu / (sea.modem.airtime_ns(sea.mtu) / 1e9)
+            if index in (CONTROL, DATA):
+                return {"MTU": sea.mtu, "frameLength": sea.mtu, "dataRate": rate,
+                        "frameDuration": sea.modem.airtime_ns(sea.mtu) / 1e9}  # fmt: skip
+            return {"MTU": sea.mtu, "RTU": sea.mtu, "busy": modem.busy, "time": modem.now_us, "rxEnable": True,
+                    "propagationSpeed": sea.sound_speed, "timestampedTxDelay": 0.0}  # fmt: skip
+        if agent == LINK:
+            return {"MTU": sea.mtu - _Linked.HEADER, "RTU": sea.mtu - _Linked.HEADER, "reliability": True,
+                    "maxRetries": _tries(modem), "phy": PHYSICAL}  # fmt: skip
+        return {}
+
+    def _set(self, agent: str, name: str, value: Any) -> None:
+        if (agent, name) != (NODE, "location") or not isinstance(value, list) or len(value) != 3:
+            return
+        with suppress(TypeError, ValueError):
+            east, north, up = map(float, value)
+            self._location = [east, north, up]
+            self._modem.sea.move((north, east, -up))
+            changed = {"location": self._location}
+            self._publish(f"{_UNET}.ParamChangeNtf", NODE, (PARAMETER_TOPIC,), paramValues=changed)
+
+    # What the water says.
+
+    def heard(self, frame: HeardFrame) -> None:
+        """See `ModemLanguage`."""
+        if frame.what == LINK_PROTOCOL and len(frame.payload) >= _Linked.HEADER:
+            self._hears_link(frame)
+            return
+        name = f"{_UNET}.phy.RxFrameNtf"
+        self._received(
+            name, PHYSICAL, frame, frame.what, frame.payload, txTime=self._modem.us(frame.sent_ns), type=DATA
+        )
+
+    def _received(self, name: str, agent: str, frame: HeardFrame, what: int, payload: bytes, **more: Any) -> None:
+        data = {"clazz": "[B", "data": base64.b64encode(payload).decode()}
+        to = EVERYBODY if frame.to is None else frame.to
+        address = {"from": frame.src, "to": to, "protocol": what}
+        self._publish(
+            name, agent, (DATAGRAM_TOPIC,), data=data, rxTime=self._modem.us(frame.begin_ns), **address, **more
+        )
+
+    def _hears_link(self, frame: HeardFrame) -> None:
+        kind, number, what = frame.payload[: _Linked.HEADER]
+        if kind == _ACKNOWLEDGEMENT:
+            if (linked := self._linked.pop(number, None)) is not None and linked.to == frame.src:
+                linked.delivered()
+            return
+        answer = bytes((_ACKNOWLEDGEMENT, number, what))
+        self._modem.submit(Job(answer, frame.src, LINK_PROTOCOL))
+        if self._seen.get(frame.src) != number:  # else only its acknowledgement was lost
+            self._seen[frame.src] = number
+            self._received(f"{_UNET}.DatagramNtf", LINK, frame, what, frame.payload[_Linked.HEADER :])
+
+    def spoiled(self, cause: Cause, at_ns: int) -> None:
+        """See `ModemLanguage`."""
+        at_us = self._modem.us(at_ns)
+        self._publish(f"{_UNET}.phy.BadFrameNtf", PHYSICAL, rxTime=at_us, type=DATA)
+        if cause is Cause.COLLISION:
+            self._publish(f"{_UNET}.phy.CollisionNtf", PHYSICAL, rxTime=at_us, type=DATA)
+
+    def gives_up(self, number: int) -> None:
+        """A frame of the link was not acknowledged in all tries."""
+        self._linked.pop(number, None)
+
+    @property
+    def modem(self) -> ModemCore:
+        """The core that it speaks for."""
+        return self._modem
+
+
+class _Reply:
+    """Where the answers to a request go."""
+
+    def __init__(self, node: Unet, client: Client, agent: str, data: Mapping[str, Any]) -> None:
+        self._node, self._client, self.agent = node, client, agent
+        self._to, self._request = str(data.get("sender")), data.get("msgID")
+
+    def tell(self, name: str, /, **data: Any) -> None:
+        self._node._tell(self._client, name, self.agent, self._to, inReplyTo=self._request, **data)
+
+    def perform(self, performative: str) -> None:
+        self.tell(f"{_FJAGE}.Message", perf=performative)
+
+    def agree(self, why_not: str) -> None:
+        """Agree, or refuse with a reason."""
+        if why_not:
+            self.tell(f"{_UNET}.RefuseRsp", perf="REFUSE", reason=why_not)
+        else:
+            self.perform("AGREE")
+
+
+class _Linked:
+    """A datagram of the link that waits for its acknowledgement."""
+
+    HEADER = 3  # bytes: kind, number, protocol
+
+    def __init__(self, node: Unet, reply: _Reply, to: int, payload: bytes, number: int) -> None:
+        self._node, self._reply, self.to, self._payload, self._number = node, reply, to, payload, number
+        self._tried = 0
+
+    def send(self) -> str:
+        """Send it. Returns why it cannot be sent."""
+        self._tried += 1
+        return self._node.modem.submit(Job(self._payload, self.to, LINK_PROTOCOL, self._left, lambda _: self._late()))
+
+    def _left(self, frame: SentFrame) -> None:
+        sea = self._node.modem.sea
+        travel_s = 2 * sea.modem.max_range / sea.sound_speed
+        air_s = (frame.airtime_ns + sea.modem.airtime_ns(self.HEADER)) / 1e9
+        self._node.modem.after(travel_s + air_s + sea.access_s + _WAIT_S, self._late_of(self._tried))
+
+    def _late_of(self, tried: int) -> Callable[[], None]:
+        return lambda: self._late() if tried == self._tried else None
+
+    def _late(self) -> None:
+        node = self._node
+        if node._linked.get(self._number) is not self:
+            return
+        if self._tried < _tries(node.modem) and not self.send():
+            return
+        node.gives_up(self._number)
+        self._reply.tell(f"{_UNET}.DatagramFailureNtf", to=self.to)
+
+    def delivered(self) -> None:
+        """It was acknowledged."""
+        self._reply.tell(f"{_UNET}.DatagramDeliveryNtf", to=self.to)
+
+
+def _tries(modem: ModemCore) -> int:
+    return modem.sea.modem.tries or _MOST_TRIES
+
+
+def _whole(value: Any) -> int | None:
+    return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+
+def payload_of(data: Any) -> bytes | None:
+    """The bytes of a message: base64 or a list of numbers, signed as Java has them; None: it has none of that kind."""
+    try:
+        if data is None:
+            return b""
+        if isinstance(data, dict):
+            return base64.b64decode(data.get("data") or "")
+        if isinstance(data, list):
+            return bytes(int(number) & 255 for number in data)
+    except (ValueError, TypeError):
+        return None
+    return None

@@ -1,0 +1,88 @@
+"""The place between an acoustic channel and a modem that programs of others open: what each side may ask of the other.
+
+A modem's own language (UnetStack, a Micro-Modem, ...) is no affair of the network. So an endpoint is an object that the
+console hands over with the settings of the relay, and that translates on a thread of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from netem.cause import Cause
+from netem.modem import Modem
+
+EVERYBODY = 0  # the address of a broadcast
+
+
+class ModemRequest(NamedTuple):
+    """A payload that a program gives its modem."""
+
+    robot: int
+    to: int | None  # the robot that it is for; None: all
+    what: int  # protocol number
+    payload: bytes
+    tag: Any  # what the endpoint calls it
+
+
+class SentFrame(NamedTuple):
+    """A payload begins to be transmitted."""
+
+    tag: Any
+    at_ns: int  # of CLOCK_MONOTONIC
+    airtime_ns: int
+
+
+class HeardFrame(NamedTuple):
+    """A payload has arrived whole."""
+
+    src: int
+    to: int | None
+    what: int
+    payload: bytes
+    sent_ns: int  # when its transmission began
+    begin_ns: int  # when its reception began
+    end_ns: int  # when the modem has it
+
+
+class Sea(NamedTuple):
+    """What an endpoint may ask of the channel, from any thread."""
+
+    modem: Modem
+    mtu: int  # bytes of the longest payload
+    queue: int  # payloads that wait at most
+    access_s: float  # the longest that a free modem waits for its turn to talk
+    sound_speed: float  # m/s
+    begin_ns: int  # t = 0, of CLOCK_MONOTONIC
+    numbers: tuple[int, ...]  # of all robots: their addresses
+    names: tuple[str, ...]
+    send: Callable[[ModemRequest], None]
+    place: Callable[[], tuple[float, ...]]  # north, east, down [m]
+    move: Callable[[tuple[float, ...]], None]
+
+
+class ModemEndpoint(Protocol):
+    """A modem that programs of one robot open. The thread of the relay calls it, and must not be held up."""
+
+    number: int  # of its robot
+
+    def listen(self) -> None:
+        """Open its port. Raises BusError: it cannot be opened."""
+
+    def begin(self, sea: Sea) -> None:
+        """The channel carries from now on."""
+
+    def sent(self, frame: SentFrame) -> None:
+        """A payload of it begins to be transmitted."""
+
+    def dropped(self, tag: Any, cause: Cause) -> None:
+        """A payload of it is lost before it was transmitted."""
+
+    def heard(self, frame: HeardFrame) -> None:
+        """A payload has arrived here, whoever it is for."""
+
+    def spoiled(self, cause: Cause, at_ns: int) -> None:
+        """A reception here has failed, and why."""
+
+    def close(self) -> None:
+        """Close its port, and every connection."""

@@ -203,15 +203,15 @@ class Unet:
     def _parameters(self, reply: _Reply, data: dict[str, Any]) -> None:
         index = _whole(data.get("index"))
         asked = [one for one in [data, *(data.get("requests") or [])] if isinstance(one, dict) and one.get("param")]
-        values, readonly = self._values(reply.agent, -1 if index is None else index), []
+        values = self._values(reply.agent, -1 if index is None else index)
         for one in asked:
             name = str(one["param"]).rpartition(".")[2]
             if "value" in one and one["value"] is not None:
                 self._set(reply.agent, name, one["value"])
                 values = self._values(reply.agent, -1 if index is None else index)
         readonly = [name for name in values if (reply.agent, name) != (NODE, "location")]
-        names = [str(one["param"]).rpartition(".")[2] for one in asked] or list(values)
-        found = {name: values.get(name) for name in names}
+        names = [str(one["param"]) for one in asked] or list(values)  # with the package before them, as they were asked
+        found = {name: values.get(name.rpartition(".")[2]) for name in names}
         first = names[0] if asked else None
         rest = {name: value for name, value in found.items() if name != first}
         reply.tell(

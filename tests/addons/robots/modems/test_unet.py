@@ -1,0 +1,276 @@
+"""A modem in the language of UnetStack: canned dialogues, with a sea that keeps what it is given."""
+
+from __future__ import annotations
+
+import base64
+import json
+import socket
+from collections.abc import Iterator
+from contextlib import closing
+from time import monotonic_ns
+from typing import Any
+
+import pytest
+from waiting import wait_for
+
+from fleet.addons.robots.modems.line_port import MOST_LINE
+from fleet.addons.robots.modems.modem import RANGING, ModemCore
+from fleet.addons.robots.modems.unet import DATAGRAM_TOPIC, LINK_PROTOCOL, Unet
+from netem.cause import Cause
+from netem.endpoint import HeardFrame, ModemRequest, Sea, SentFrame
+from netem.modem import Modem
+
+LIMIT_S = 30.0
+MODEM = Modem(800.0, 0.0, 25e3, 4e3, 190.0, 0.0, 3000.0, 6000.0, 64, 6.0, 10.0, 10.0)
+SPEED = 1500.0
+UNET = "org.arl.unet"
+
+
+class Water:
+    """What a modem gives to the channel, and a hand that lets it happen."""
+
+    def __init__(self, number: int = 1) -> None:
+        self.given: list[ModemRequest] = []
+        self.moved: list[tuple[float, ...]] = []
+        self.begin_ns = monotonic_ns()
+        self.core = ModemCore(number, Unet, 0, "127.0.0.1")
+        self.core.listen()
+        sea = Sea(MODEM, 64, 2, 0.0, SPEED, self.begin_ns, (1, 2, 3), ("auv1", "auv2", "buoy"), self.given.append,
+                  lambda: (10.0, 20.0, 5.0), self.moved.append)  # fmt: skip
+        self.core.begin(sea)
+
+    def next(self) -> ModemRequest:
+        """The next payload that the modem has given."""
+        wait_for(lambda: self.given, LIMIT_S, "a payload")
+        return self.given.pop(0)
+
+    def sends(self, at_s: float = 1.0) -> ModemRequest:
+        """Let the next payload be transmitted at a time."""
+        request = self.next()
+        self.core.sent(SentFrame(request.tag, self.at(at_s), 100_000_000))
+        return request
+
+    def at(self, s: float) -> int:
+        return self.begin_ns + round(s * 1e9)
+
+    def brings(self, src: int, payload: bytes, *, to: int | None = 1, what: int = 0, left: float, came: float) -> None:
+        """Let a payload arrive."""
+        self.core.heard(HeardFrame(src, to, what, payload, self.at(left), self.at(came), self.at(came + 0.1)))
+
+
+class Program:
+    """A client of fjage, as far as bytes go."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
+        self.file = self.socket.makefile("rb")
+
+    def close(self) -> None:
+        self.file.close()
+        self.socket.close()
+
+    def say(self, **values: Any) -> None:
+        self.socket.sendall(json.dumps(values).encode() + b"\n")
+
+    def hears(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.file.readline())
+        return found
+
+    def asks(self, action: str, **values: Any) -> dict[str, Any]:
+        self.say(id="1", action=action, **values)
+        return self.hears()
+
+    def requests(self, kind: str, recipient: str, **data: Any) -> None:
+        whole = {"msgID": "m1", "perf": "REQUEST", "recipient": recipient, "sender": "me"} | data
+        self.say(id="2", action="send", relay=True, message={"clazz": kind, "data": whole})
+
+    def message(self) -> tuple[str, dict[str, Any]]:
+        """The next message: its class without its package, and its data."""
+        found = self.hears()["message"]
+        return found["clazz"].rpartition(".")[2], found["data"]
+
+    def get(self, agent: str, name: str, index: int = -1) -> Any:
+        self.requests("org.arl.fjage.param.ParameterReq", agent, param=name, index=index)
+        kind, data = self.message()
+        assert kind == "ParameterRsp" and data["inReplyTo"] == "m1" and data["param"] == name
+        return data["value"]
+
+
+@pytest.fixture
+def water() -> Iterator[Water]:
+    found = Water()
+    yield found
+    found.core.close()
+
+
+@pytest.fixture
+def program(water: Water) -> Iterator[Program]:
+    with closing(Program(water.core.line_port.port)) as found:
+        yield found
+
+
+def test_the_container_answers(program: Program) -> None:
+    assert program.asks("agentForService", service=f"{UNET}.Services.PHYSICAL") == {
+        "id": "1", "inResponseTo": "agentForService", "agentID": "phy",
+    }  # fmt: skip
+    assert "agentID" not in program.asks("agentForService", service=f"{UNET}.Services.BASEBAND")
+    assert program.asks("agentsForService", service=f"{UNET}.Services.DATAGRAM")["agentIDs"] == ["phy", "uwlink"]
+    assert program.asks("containsAgent", agentID="ranging")["answer"] is True
+    assert program.asks("containsAgent", agentID="shell")["answer"] is False
+    assert "node" in program.asks("agents")["agentIDs"]
+    assert f"{UNET}.Services.LINK" in program.asks("services")["services"]
+
+
+def test_parameters_that_programs_read(program: Program, water: Water) -> None:
+    assert (program.get("node", "address"), program.get("node", "nodeName")) == (1, "auv1")
+    assert program.get("node", "location") == [20.0, 10.0, -5.0]  # east, north, up
+    assert (program.get("phy", "MTU"), program.get("phy", "propagationSpeed")) == (64, SPEED)
+    assert program.get("phy", "dataRate", index=2) == pytest.approx(800.0)
+    assert program.get("phy", f"{UNET}.phy.PhysicalParam.busy") is False
+    assert program.get("uwlink", "MTU") == 61
+    program.requests("org.arl.fjage.param.ParameterReq", "node", param="location", value=[3.0, 4.0, -7.0])
+    assert program.message()[1]["value"] == [3.0, 4.0, -7.0]
+    assert water.moved == [(4.0, 3.0, 7.0)]
+
+
+def test_a_datagram_leaves_and_its_sender_is_told(program: Program, water: Water) -> None:
+    program.requests(f"{UNET}.DatagramReq", "phy", to=2, protocol=32, data=[1, -1, 200])
+    assert program.message()[1]["perf"] == "AGREE"
+    request = water.sends(at_s=1.5)
+    assert (request.to, request.what, request.payload) == (2, 32, b"\x01\xff\xc8")
+    kind, data = program.message()
+    assert (kind, data["txTime"], data["inReplyTo"]) == ("TxFrameNtf", 1_500_000, "m1")
+
+
+def test_a_broadcast_has_no_address_and_data_may_be_base64(program: Program, water: Water) -> None:
+    data = {"clazz": "[B", "data": base64.b64encode(b"hello").decode()}
+    program.requests(f"{UNET}.phy.TxFrameReq", "phy", data=data)
+    request = water.next()
+    assert (request.to, request.payload) == (None, b"hello")
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        ({"data": [0] * 65}, "more than the MTU of 64"),
+        ({"data": "text"}, "are no bytes"),
+        ({"protocol": 64}, "no protocol 64"),
+        ({"to": 9}, "no node with the address 9"),
+    ],
+)
+def test_what_cannot_be_sent_is_refused_with_a_reason(program: Program, data: dict[str, Any], reason: str) -> None:
+    program.requests(f"{UNET}.DatagramReq", "phy", **data)
+    kind, said = program.message()
+    assert (kind, said["perf"]) == ("RefuseRsp", "REFUSE") and reason in said["reason"]
+
+
+def test_datagrams_wait_in_order_and_a_full_queue_refuses(program: Program, water: Water) -> None:
+    """One is in the channel, and two wait; `ClearReq` forgets these."""
+    for number in range(4):
+        program.requests(f"{UNET}.DatagramReq", "phy", data=[number])
+    assert [program.message()[1]["perf"] for _ in range(4)] == ["AGREE", "AGREE", "AGREE", "REFUSE"]
+    assert [water.sends().payload for _ in range(2)] == [b"\x00", b"\x01"]
+    assert [program.message()[0] for _ in range(2)] == ["TxFrameNtf"] * 2
+    program.requests(f"{UNET}.ClearReq", "phy")
+    assert program.message()[1]["perf"] == "AGREE"
+
+
+def test_a_datagram_that_the_water_refuses_is_told(program: Program, water: Water) -> None:
+    program.requests(f"{UNET}.DatagramReq", "phy", to=2, data=[1])
+    assert program.message()[1]["perf"] == "AGREE"
+    tag = water.next().tag
+    for _ in range(2):  # one loss per receiver
+        water.core.dropped(tag, Cause.MUTE)
+    kind, data = program.message()
+    assert (kind, data["to"], data["reason"]) == ("DatagramFailureNtf", 2, "mute")
+
+
+@pytest.mark.parametrize("topic", [DATAGRAM_TOPIC, "#phy__ntf", "#phy"])
+def test_who_listens_hears_once_with_times(program: Program, water: Water, topic: str) -> None:
+    program.say(action="wantsMessagesFor", agentIDs=[topic, DATAGRAM_TOPIC])
+    program.asks("services")  # it has been read
+    water.brings(2, b"hi", left=2.0, came=2.5, what=32)
+    water.core.spoiled(Cause.COLLISION, water.at(3.0))
+    kind, data = program.message()
+    assert kind == "RxFrameNtf" and base64.b64decode(data["data"]["data"]) == b"hi"
+    assert (data["from"], data["to"], data["protocol"]) == (2, 1, 32)
+    assert (data["txTime"], data["rxTime"]) == (2_000_000, 2_500_000)
+    if topic != DATAGRAM_TOPIC:
+        assert [program.message()[0] for _ in range(2)] == ["BadFrameNtf", "CollisionNtf"]
+
+
+def test_a_range_is_half_of_the_travel_without_the_turn_around(program: Program, water: Water) -> None:
+    """It leaves at 1 s, travels 0.4 s, is answered after 3 s, and comes back after 0.4 s: 600 m."""
+    program.requests(f"{UNET}.localization.RangeReq", "ranging", to=2)
+    assert program.message()[1]["perf"] == "AGREE"
+    request = water.sends(at_s=1.0)
+    assert (request.to, request.what) == (2, RANGING)
+    answer = water.at(1.4).to_bytes(8, "little")
+    water.brings(2, answer, what=RANGING, left=4.4, came=4.8)
+    kind, data = program.message()
+    assert (kind, data["to"]) == ("RangeNtf", 2) and data["range"] == pytest.approx(600.0)
+
+
+def test_a_request_of_ranging_is_answered_with_when_it_came(water: Water) -> None:
+    water.brings(3, b"?", what=RANGING, left=1.0, came=2.0)
+    request = water.next()
+    assert (request.to, request.payload) == (3, water.at(2.0).to_bytes(8, "little"))
+
+
+def test_the_link_acknowledges_and_tries_again(program: Program, water: Water) -> None:
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, protocol=32, data=[7], reliability=True)
+    assert program.message()[1]["perf"] == "AGREE"
+    request = water.sends()
+    kind, number, what = request.payload[:3]
+    assert (request.what, kind, what, request.payload[3:]) == (LINK_PROTOCOL, 1, 32, b"\x07")
+    water.brings(2, bytes((0, number, what)), what=LINK_PROTOCOL, left=2.0, came=2.2)
+    kind, data = program.message()
+    assert (kind, data["to"]) == ("DatagramDeliveryNtf", 2)
+
+
+def test_a_frame_of_the_link_that_comes_twice_is_told_once(program: Program, water: Water) -> None:
+    program.say(action="wantsMessagesFor", agentIDs=[DATAGRAM_TOPIC])
+    program.asks("services")
+    for _ in range(2):
+        water.brings(2, bytes((1, 5, 32)) + b"x", what=LINK_PROTOCOL, left=1.0, came=1.2)
+        assert water.sends().payload == bytes((0, 5, 32))  # its acknowledgement
+    assert program.message()[0] == "DatagramNtf"
+    assert program.asks("containsAgent", agentID="phy")["answer"] is True  # and no second one came before
+
+
+def test_what_is_not_understood_is_told(program: Program) -> None:
+    program.requests(f"{UNET}.bb.TxBasebandSignalReq", "phy")
+    assert program.message()[1]["perf"] == "NOT_UNDERSTOOD"
+
+
+@pytest.mark.parametrize(
+    "rubbish",
+    [b"\x00\xff{}\n", b"[]\n", b"{\n" * 50, b'{"action": "send", "message": {"data": 5}}\n', b"[" * 100_000 + b"\n",
+     b'{"action": "wantsMessagesFor", "agentIDs": {"a": 1}}\n'],
+)  # fmt: skip
+def test_rubbish_disturbs_nobody(program: Program, water: Water, rubbish: bytes) -> None:
+    with closing(Program(water.core.line_port.port)) as other:
+        other.socket.sendall(rubbish)
+        assert program.asks("containsAgent", agentID="phy")["answer"] is True
+
+
+def test_a_line_without_an_end_ends_its_connection(program: Program, water: Water) -> None:
+    with closing(Program(water.core.line_port.port)) as other:
+        with pytest.raises(OSError):  # noqa: PT012  # the system says so at some later write
+            while True:
+                other.socket.sendall(bytes(MOST_LINE))
+        assert program.asks("containsAgent", agentID="phy")["answer"] is True
+
+
+def test_who_takes_nothing_loses_its_connection_and_holds_up_nobody(program: Program, water: Water) -> None:
+    with closing(Program(water.core.line_port.port)) as other:
+        other.say(action="wantsMessagesFor", agentIDs=[DATAGRAM_TOPIC])
+        other.asks("services")
+
+        def gone() -> bool:
+            for _ in range(1000):
+                water.brings(2, bytes(64), left=1.0, came=1.1)
+            return len(water.core.line_port.clients) == 1
+
+        wait_for(gone, LIMIT_S, "the end of its connection")
+    assert program.asks("containsAgent", agentID="phy")["answer"] is True

@@ -38,6 +38,9 @@ LINK_PROTOCOL = 2  # of frames of the link, as UnetStack has it
 _RESERVED = range(1, 32)  # protocol numbers of UnetStack's own agents
 _MOST_TRIES = 3  # of the link, where the modem itself does not acknowledge
 _ACKNOWLEDGEMENT, _CARRIED = 0, 1  # first byte of a frame of the link
+# fjagepy 2.2 drops an answer that comes before its own thread waits for it, and raises KeyError. A container in Java is
+# slower than that, and so are we.
+ANSWER_S = 0.005
 _WAIT_S = 2.0  # beside travel and airtime, until an acknowledgement counts as missing
 
 
@@ -82,21 +85,26 @@ class Unet:
         action, answer = said.get("action"), {"id": said.get("id"), "inResponseTo": said.get("action")}
         match action:
             case "agents":
-                self._say(client, answer | {"agentIDs": list(AGENTS), "agentTypes": [f"{_UNET}.{a}" for a in AGENTS]})
+                self._answer(
+                    client, answer | {"agentIDs": list(AGENTS), "agentTypes": [f"{_UNET}.{a}" for a in AGENTS]}
+                )
             case "containsAgent":
-                self._say(client, answer | {"answer": said.get("agentID") in AGENTS})
+                self._answer(client, answer | {"answer": said.get("agentID") in AGENTS})
             case "services":
-                self._say(client, answer | {"services": list(SERVICES)})
+                self._answer(client, answer | {"services": list(SERVICES)})
             case "agentForService":
                 found = SERVICES.get(str(said.get("service")))
-                self._say(client, answer | ({"agentID": found[0]} if found else {}))
+                self._answer(client, answer | ({"agentID": found[0]} if found else {}))
             case "agentsForService":
-                self._say(client, answer | {"agentIDs": SERVICES.get(str(said.get("service")), [])})
+                self._answer(client, answer | {"agentIDs": SERVICES.get(str(said.get("service")), [])})
             case "wantsMessagesFor":
                 wanted = said.get("agentIDs")
                 client.state = frozenset(map(str, wanted[:1000] if isinstance(wanted, list) else ()))
             case "send":
                 self._take(client, said.get("message"))
+
+    def _answer(self, client: Client, values: Mapping[str, Any]) -> None:
+        self._modem.after(ANSWER_S, lambda: self._say(client, values))
 
     def _modem_is_not_here(self) -> bool:
         return not hasattr(self, "_modem")

@@ -19,6 +19,7 @@ import msgpack
 import msgspec
 
 from fleet.addons.robots.message_log import MessageLog, place_of
+from fleet.addons.robots.modems.micromodem import MicroModem
 from fleet.addons.robots.modems.modem import ModemCore
 from fleet.addons.robots.modems.unet import Unet
 from fleet.addons.robots.programs import Programs
@@ -116,8 +117,14 @@ def setup_of(
 def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
     """The modems that programs open, of the nodes that have one."""
     for i, node in enumerate((scenario.spec.nodes or {}).values(), start=1):
-        if node.modem is not None and node.modem.unet is not None:
-            yield ModemCore(i, Unet, node.modem.unet, node.modem.host)
+        if (modem := node.modem) is None:
+            continue
+        if modem.unet is not None:
+            yield ModemCore(i, Unet, modem.unet, modem.host)
+        elif isinstance(modem.micromodem, int):
+            yield ModemCore(i, MicroModem, modem.micromodem, modem.host)
+        else:
+            yield ModemCore(i, MicroModem, terminal=modem.micromodem or "")
 
 
 class RelayRun:

@@ -38,8 +38,10 @@ def nodes(parts: Parts, report: Report) -> None:
             report.add(("nodes", name), "has no place, and sound needs one", "place: 0 0 10 m, or a topic that says it")
         if node.modem is not None and not water:
             report.add(("nodes", name, "modem"), "needs water", "network: {acoustic: {queue: 10}}")
-        if node.modem is not None and node.modem.unet is None:
-            report.add(("nodes", name, "modem"), "has no language", "modem: {unet: 1101}")
+        if node.modem is not None and (node.modem.unet is None) == (node.modem.micromodem is None):
+            report.add(
+                ("nodes", name, "modem"), "has one language", "modem: {unet: 1101}, or {micromodem: /tmp/ttyAUV1}"
+            )
         if isinstance(node.place, TopicPlace) and not (node.listen or node.connect or name in free):
             report.add(("nodes", name, "place"), "a topic needs listen or connect")
         if isinstance(node.place, TopicPlace) and not all(map(find_spec, ("rosbags", "xxhash"))):

@@ -73,6 +73,8 @@ class ModemPortSection(Section):
     """An acoustic modem that programs of the node open, in one of the languages of modems."""
 
     unet: Annotated[int, Field(ge=1, le=65535)] | None = None  # TCP port, as UnetStack has 1100
+    # A WHOI Micro-Modem: a TCP port, or the path of a pseudo terminal that we make.
+    micromodem: Annotated[int, Field(ge=1, le=65535)] | str | None = None
     host: str = "127.0.0.1"  # the address that it listens on
 
 

@@ -79,7 +79,7 @@ class ModemCore:
     """A modem endpoint in any language. It is handed to the process of the relay before it has begun."""
 
     def __init__(
-        self, number: int, make: Callable[[], ModemLanguage], port: int, host: str, terminal: str = ""
+        self, number: int, make: Callable[[], ModemLanguage], port: int = 0, host: str = "127.0.0.1", terminal: str = ""
     ) -> None:
         """Prepare it; nothing is opened.
 

@@ -1,0 +1,384 @@
+"""The language of the WHOI Micro-Modem: sentences of NMEA 0183 on a serial line or TCP, of both generations.
+
+Written from "Micro-Modem Software Interface Guide" (WHOI, acomms.whoi.edu) and from what WHOI's own client takes
+(acomms 3.1 of PyPI). What is answered, and what is not, is in docs/guide/modems.md.
+
+The frames of a packet are sent one by one, and a lost one is a bad frame of the packet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from functools import reduce
+from typing import NamedTuple
+
+from fleet.addons.robots.modems.line_port import Client
+from fleet.addons.robots.modems.modem import Job, ModemCore
+from netem.cause import Cause
+from netem.endpoint import EVERYBODY, HeardFrame, SentFrame
+
+BROADCAST = 127
+BEGIN = datetime(2026, 1, 1)  # of the modem's clock, as of that of programs in lockstep
+_MOST_SENTENCE = 2048  # bytes
+_MINI, _FRAME, _ANSWER = 32, 33, 34  # protocol numbers: mini packets, frames of packets, acknowledgements
+_HEAD = 4  # bytes before the data of a frame: rate, flags, its number, how many
+_WANTS_ANSWER, _SECOND = 1, 2  # flags: acknowledged; a packet of the second generation (TDP)
+DATA_TIMEOUT_S = 2.0  # for the data of a frame that was asked for
+_LATE_S = 1.0  # after the last frame could have come, a packet with missing ones is told
+
+
+class Rate(NamedTuple):
+    """The frames of a packet."""
+
+    frames: int
+    size: int  # bytes of each
+
+
+RATES = {0: Rate(1, 32), 1: Rate(3, 64), 2: Rate(3, 64), 3: Rate(2, 256), 4: Rate(2, 256), 5: Rate(8, 256),
+         6: Rate(6, 32)}  # fmt: skip
+SECOND_RATES = {1: Rate(3, 64), 3: Rate(2, 256), 5: Rate(8, 256)}  # of the second generation
+NAMES = ["SRC", "DBG", "ASD", "PCM", "AGN", "TXP", "IRE", "CST", "SNR", "REV", "DTO", "PTO", "TOA"]
+
+
+def checksum(text: str) -> str:
+    """The checksum of a sentence: the exclusive or of its characters."""
+    return f"{reduce(lambda before, each: before ^ each, text.encode(), 0):02X}"
+
+
+def sentence(kind: str, *values: object) -> bytes:
+    """A sentence with its checksum."""
+    text = ",".join([kind, *map(str, values)])
+    return f"${text}*{checksum(text)}\r\n".encode()
+
+
+class WrongSentence(ValueError):
+    """A sentence that cannot be obeyed: the number of the error, and its words."""
+
+    def __init__(self, number: int, words: str) -> None:
+        super().__init__(words)
+        self.number, self.words = number, words
+
+
+@dataclass(slots=True)
+class _Packet:
+    """A packet that leaves."""
+
+    to: int
+    rate: int
+    answered: bool
+    count: int
+    frames: list[bytes] = field(default_factory=list)
+    asked: int = 0  # data of so many frames were asked for
+    left: int = 0  # frames that have been transmitted
+
+
+@dataclass(slots=True)
+class _Coming:
+    """A packet that comes."""
+
+    rate: int
+    flags: int
+    count: int
+    frames: dict[int, bytes] = field(default_factory=dict)
+
+
+class MicroModem:
+    """One modem."""
+
+    delimiter = b"\n"
+
+    def __init__(self) -> None:
+        self._config = dict.fromkeys(NAMES, 0) | {"CST": 1, "REV": 1}
+        self._packet: _Packet | None = None
+        self._coming: dict[int, _Coming] = {}  # by sender
+        self._count = 0
+
+    def begin(self, modem: ModemCore) -> None:
+        """See `ModemLanguage`."""
+        self._modem = modem
+        self._config["SRC"] = modem.address
+        for client in modem.line_port.clients:
+            self.opened(client)
+
+    # Clients.
+
+    def opened(self, client: Client) -> None:
+        """See `Translator`."""
+        if hasattr(self, "_modem"):
+            self._say_to(client, "CAREV", self._clock(), "INIT", "uuv-fleet")
+            self._say_to(client, "CAREV", self._clock(), "AUV", "3.0.0")
+
+    def closed(self, client: Client) -> None:
+        """See `Translator`."""
+
+    def line(self, client: Client, line: bytes) -> None:
+        """See `Translator`."""
+        text = line[:_MOST_SENTENCE].decode("ascii", "replace").strip()
+        if not text or not hasattr(self, "_modem"):
+            return
+        body, star, given = text.lstrip("$").partition("*")
+        kind, *values = [part.strip() for part in body.split(",")]
+        try:
+            if not text.startswith("$"):
+                raise WrongSentence(1, "NMEA sentence expected")
+            if star and given.upper() != checksum(body):
+                raise WrongSentence(2, f"BAD CHECKSUM {given:.8} expected {checksum(body)}")
+            handler = _HANDLERS.get(kind)
+            if handler is None:
+                raise WrongSentence(3, f"UNKNOWN COMMAND {kind:.8}")
+            handler(self, values)
+        except WrongSentence as error:
+            self._error(error.number, error.words)
+        except (ValueError, IndexError):
+            self._error(4, f"BAD PARAMETER IN {kind:.8}")
+
+    def _error(self, number: int, words: str) -> None:
+        self._say(
+            "CAERR",
+            self._clock(),
+            "NMEA",
+            number,
+            "".join(c if c.isprintable() and c not in "$*," else " " for c in words),
+        )
+
+    def _say(self, kind: str, *values: object) -> None:
+        for client in list(self._modem.line_port.clients):
+            self._say_to(client, kind, *values)
+
+    def _say_to(self, client: Client, kind: str, *values: object) -> None:
+        self._modem.line_port.say(client, sentence(kind, *values))
+
+    def _submit(self, job: Job) -> None:
+        if why := self._modem.submit(job):
+            raise WrongSentence(5, why.upper())
+
+    def _address(self, text: str) -> int:
+        number = int(text)
+        if number not in (BROADCAST, *self._modem.sea.numbers):
+            raise WrongSentence(6, f"NO MODEM {number}")
+        return number
+
+    # Commands.
+
+    def _configure(self, values: list[str]) -> None:
+        name, number = values[0].upper(), int(values[1])
+        if name not in self._config:
+            raise WrongSentence(7, f"UNKNOWN PARAMETER {name:.16}")
+        if name != "SRC":  # which is the number of its node
+            self._config[name] = number
+        self._say("CACFG", name, self._config[name])
+
+    def _query(self, values: list[str]) -> None:
+        name = values[0]
+        if name.upper() == "ALL":
+            for each, value in self._config.items():
+                self._say("CACFG", each, value)
+        elif name.lower() in ("info", "info.firmware_version"):
+            self._say("CACFG", "info.firmware_version", "3.0.0")
+        elif name.upper() in self._config:
+            self._say("CACFG", name.upper(), self._config[name.upper()])
+        else:
+            raise WrongSentence(7, f"UNKNOWN PARAMETER {name:.16}")
+
+    def _level(self, _: list[str]) -> None:
+        self._say("CAALQ", 0, 11)
+
+    def _time(self, _: list[str]) -> None:
+        now = self._at(self._modem.now_us)
+        self._say("CACLK", now.year, now.month, now.day, now.hour, now.minute, now.second)
+
+    def _mini(self, values: list[str]) -> None:
+        to, data = self._address(values[1]), bytes.fromhex(values[2].zfill(4))
+        if len(data) != 2 or int.from_bytes(data) > 0x1FFF:
+            raise WrongSentence(8, "A MINI PACKET HAS 13 BITS")
+        self._submit(Job(data, _to(to), _MINI, self._begins(2)))
+        self._say("CAMUC", self._modem.address, to, data.hex().upper())
+
+    def _ping(self, values: list[str]) -> None:
+        to = self._address(values[1])
+
+        def measured(range_m: float | None) -> None:
+            if range_m is None:
+                self._say("CAMSG", "PACKET_TIMEOUT", 0)
+            else:
+                self._say("CAMPR", to, self._modem.address, f"{range_m / self._modem.sea.sound_speed:.4f}")
+
+        if why := self._modem.range_to(to, measured):
+            raise WrongSentence(5, why.upper())
+        self._say("CAMPC", self._modem.address, to)
+
+    def _cycle(self, values: list[str]) -> None:
+        _, src, dst, rate, answered, count = map(int, values[:6])
+        if src != self._modem.address:
+            raise WrongSentence(9, "ONLY DOWNLINKS ARE ANSWERED")
+        if rate not in RATES or not 1 <= count <= RATES[rate].frames:
+            raise WrongSentence(10, f"RATE {rate} HAS NO {count} FRAMES")
+        self._packet = _Packet(self._address(str(dst)), rate, bool(answered), count)
+        self._say("CACYC", 0, src, dst, rate, answered, count)
+        self._ask_for_data()
+
+    def _ask_for_data(self) -> None:
+        packet = self._packet
+        if packet is None:
+            return
+        packet.asked += 1
+        number = packet.asked
+        size = min(RATES[packet.rate].size, self._modem.sea.mtu - _HEAD)
+        self._say("CADRQ", self._clock(), self._modem.address, packet.to, int(packet.answered), size, number)
+
+        def late() -> None:
+            if self._packet is packet and len(packet.frames) < number:
+                self._packet = None
+                self._say("CAERR", self._clock(), "DATA_TIMEOUT", number)
+
+        self._modem.after(DATA_TIMEOUT_S, late)
+
+    def _data(self, values: list[str]) -> None:
+        packet, data = self._packet, bytes.fromhex(values[3])
+        if packet is None or len(packet.frames) >= packet.asked:
+            raise WrongSentence(11, "NO DATA WERE ASKED FOR")
+        if len(data) > min(RATES[packet.rate].size, self._modem.sea.mtu - _HEAD):
+            raise WrongSentence(12, f"{len(data)} BYTES ARE TOO MANY FOR A FRAME")
+        packet.answered |= bool(int(values[2]))
+        packet.frames.append(data)
+        self._say("CATXD", self._modem.address, packet.to, int(packet.answered), len(data))
+        if len(packet.frames) < packet.count:
+            self._ask_for_data()
+        else:
+            self._packet = None
+            self._leave(packet, 0)
+
+    def _second(self, values: list[str]) -> None:
+        """CCTDP: a packet of the second generation, with its data in the command."""
+        to, rate, answered = self._address(values[0]), int(values[1]), bool(int(values[2]))
+        data = bytes.fromhex(values[4])
+        if rate not in SECOND_RATES:
+            raise WrongSentence(10, f"RATE {rate} IS NOT THERE; THERE ARE {' '.join(map(str, SECOND_RATES))}")
+        most, size = SECOND_RATES[rate].frames, min(SECOND_RATES[rate].size, self._modem.sea.mtu - _HEAD)
+        frames = [data[begin : begin + size] for begin in range(0, len(data), size)] or [b""]
+        if len(frames) > most:
+            raise WrongSentence(12, f"{len(data)} BYTES ARE TOO MANY: {most} FRAMES OF {size}")
+        self._count += 1
+        self._say("CATDP", 0, self._count, to, rate, int(answered), 0, "", len(data))
+        self._leave(_Packet(to, rate, answered, len(frames), frames), _SECOND)
+
+    def _leave(self, packet: _Packet, flags: int) -> None:
+        flags |= _WANTS_ANSWER * packet.answered
+        total = sum(map(len, packet.frames))
+
+        def sent(frame: SentFrame) -> None:
+            packet.left += 1
+            if packet.left == 1:
+                self._say("CATXP", total)
+            if packet.left == packet.count:
+                self._modem.after(frame.airtime_ns / 1e9, lambda: self._say("CATXF", total))
+
+        for number, data in enumerate(packet.frames, start=1):
+            head = bytes((packet.rate, flags, number, packet.count))
+            self._submit(Job(head + data, _to(packet.to), _FRAME, sent, self._lost))
+
+    def _begins(self, size: int) -> Callable[[SentFrame], None]:
+        def sent(frame: SentFrame) -> None:
+            self._say("CATXP", size)
+            self._modem.after(frame.airtime_ns / 1e9, lambda: self._say("CATXF", size))
+
+        return sent
+
+    def _lost(self, cause: Cause) -> None:
+        self._error(13, f"NOT TRANSMITTED: {cause}")
+
+    # What the water says.
+
+    def heard(self, frame: HeardFrame) -> None:
+        """See `ModemLanguage`."""
+        to = BROADCAST if frame.to is None else frame.to
+        if frame.what == _MINI:
+            self._say("CAMUA", frame.src, to, frame.payload.hex().upper())
+        elif frame.what == _ANSWER and len(frame.payload) == 1:
+            for number in range(1, 9):
+                if frame.payload[0] & 1 << (number - 1):
+                    self._say("CAACK", frame.src, self._modem.address, number, 1)
+        elif frame.what == _FRAME and len(frame.payload) >= _HEAD:
+            self._hears_frame(frame, to)
+
+    def _hears_frame(self, frame: HeardFrame, to: int) -> None:
+        rate, flags, number, count = frame.payload[:_HEAD]
+        coming = self._coming.get(frame.src)
+        if coming is None or number in coming.frames or (coming.rate, coming.count) != (rate, count):
+            self._end(frame.src, to, frame.end_ns)
+            coming = self._coming[frame.src] = _Coming(rate, flags, count)
+            if not flags & _SECOND:
+                self._say("CACYC", 1, frame.src, to, rate, flags & _WANTS_ANSWER, count)
+                self._say("CARXP", 1)
+        data = coming.frames[number] = frame.payload[_HEAD:]
+        if not flags & _SECOND:
+            self._say("CARXD", frame.src, to, flags & _WANTS_ANSWER, number, data.hex().upper())
+        if len(coming.frames) == count:
+            self._end(frame.src, to, frame.end_ns)
+            return
+        sea = self._modem.sea
+        most_s = (count - number) * (sea.modem.airtime_ns(sea.mtu) / 1e9 + sea.access_s) + _LATE_S
+
+        def late() -> None:
+            if self._coming.get(frame.src) is coming:
+                self._end(frame.src, to, frame.end_ns)
+
+        self._modem.after(most_s, late)
+
+    def _end(self, src: int, to: int, at_ns: int) -> None:
+        """A packet is over: tell it, or what is missing of it, and acknowledge what has come."""
+        coming = self._coming.pop(src, None)
+        if coming is None:
+            return
+        if coming.flags & _SECOND:
+            each = [coming.frames.get(number) for number in range(1, coming.count + 1)]
+            told = ";".join(
+                f"{int(data is not None)};{len(data or b'')};{(data or b'').hex().upper()}" for data in each
+            )
+            self._say("CARDP", src, to, coming.rate, coming.flags & _WANTS_ANSWER, 0, told)
+        self._statistics(0, coming.rate, src, to, coming.count, coming.count - len(coming.frames), at_ns)
+        if coming.flags & _WANTS_ANSWER and to == self._modem.address:
+            bits = sum(1 << (number - 1) for number in coming.frames)
+            self._modem.submit(Job(bytes((bits & 255,)), src, _ANSWER))
+
+    def spoiled(self, cause: Cause, at_ns: int) -> None:
+        """See `ModemLanguage`."""
+        self._say("CAMSG", "BAD_CRC", 1)
+        self._statistics(1, 0, 0, self._modem.address, 1, 1, at_ns)
+
+    def _statistics(self, mode: int, rate: int, src: int, dst: int, frames: int, bad: int, at_ns: int) -> None:
+        """CACST of version 6: fields that the channel does not know are 0, and the noise -100."""
+        if not self._config["CST"]:
+            return
+        modem = self._modem.sea.modem
+        at = self._at(self._modem.us(at_ns))
+        toa = f"{at:%Y%m%d%H%M%S}.{at.microsecond // 100:04d}"
+        known = [rate, src, dst, 0, 0, frames, bad]
+        quality = [0, "0.0", "0.0", "0.0", "0.0", 0, "0.0", -100, round(modem.carrier), round(modem.bandwidth)]
+        self._say("CACST", 6, mode, toa, 0, *[0] * 9, *known, *quality)
+
+    def _at(self, run_us: int) -> datetime:
+        """A time of the run by the modem's clock, which begins with the run."""
+        return BEGIN + timedelta(microseconds=run_us)
+
+    def _clock(self) -> str:
+        return f"{self._at(self._modem.now_us):%H%M%S}"
+
+
+def _to(address: int) -> int:
+    return EVERYBODY if address == BROADCAST else address
+
+
+_HANDLERS: dict[str, Callable[[MicroModem, list[str]], None]] = {
+    "CCCFG": MicroModem._configure,
+    "CCCFQ": MicroModem._query,
+    "CCALQ": MicroModem._level,
+    "CCCLQ": MicroModem._time,
+    "CCMUC": MicroModem._mini,
+    "CCMPC": MicroModem._ping,
+    "CCCYC": MicroModem._cycle,
+    "CCTXD": MicroModem._data,
+    "CCTDP": MicroModem._second,
+}

@@ -135,13 +135,8 @@ class MicroModem:
             self._error(4, f"BAD PARAMETER IN {kind:.8}")
 
     def _error(self, number: int, words: str) -> None:
-        self._say(
-            "CAERR",
-            self._clock(),
-            "NMEA",
-            number,
-            "".join(c if c.isprintable() and c not in "$*," else " " for c in words),
-        )
+        plain = "".join(c if c.isprintable() and c not in "$*," else " " for c in words)
+        self._say("CAERR", self._clock(), "NMEA", number, plain)
 
     def _say(self, kind: str, *values: object) -> None:
         for client in list(self._modem.line_port.clients):

@@ -44,6 +44,8 @@ def lines(scenario: Scenario, found: Mapping[str, str] = MappingProxyType({})) -
 def _of(node: Node, found: str) -> Iterator[str]:
     if node.modem is not None and node.modem.unet is not None:
         yield f"modem of UnetStack: UnetSocket('{node.modem.host}', {node.modem.unet})"
+    if node.modem is not None and node.modem.evologics is not None:
+        yield f"modem of EvoLogics (experimental): TCP {node.modem.host}:{node.modem.evologics}"
     if node.modem is not None and node.modem.micromodem is not None:
         where = node.modem.micromodem
         yield f"Micro-Modem: {where if isinstance(where, str) else f'TCP {node.modem.host}:{where}'}"

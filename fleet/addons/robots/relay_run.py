@@ -19,6 +19,7 @@ import msgpack
 import msgspec
 
 from fleet.addons.robots.message_log import MessageLog, place_of
+from fleet.addons.robots.modems.evologics import EvoLogics
 from fleet.addons.robots.modems.micromodem import MicroModem
 from fleet.addons.robots.modems.modem import ModemCore
 from fleet.addons.robots.modems.unet import Unet
@@ -121,6 +122,8 @@ def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
             continue
         if modem.unet is not None:
             yield ModemCore(i, Unet, modem.unet, modem.host)
+        elif modem.evologics is not None:
+            yield ModemCore(i, EvoLogics, modem.evologics, modem.host)
         elif isinstance(modem.micromodem, int):
             yield ModemCore(i, MicroModem, modem.micromodem, modem.host)
         else:

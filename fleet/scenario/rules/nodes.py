@@ -38,7 +38,8 @@ def nodes(parts: Parts, report: Report) -> None:
             report.add(("nodes", name), "has no place, and sound needs one", "place: 0 0 10 m, or a topic that says it")
         if node.modem is not None and not water:
             report.add(("nodes", name, "modem"), "needs water", "network: {acoustic: {queue: 10}}")
-        if node.modem is not None and (node.modem.unet is None) == (node.modem.micromodem is None):
+        languages = () if node.modem is None else (node.modem.unet, node.modem.micromodem, node.modem.evologics)
+        if node.modem is not None and sum(each is not None for each in languages) != 1:
             report.add(
                 ("nodes", name, "modem"), "has one language", "modem: {unet: 1101}, or {micromodem: /tmp/ttyAUV1}"
             )

@@ -75,6 +75,7 @@ class ModemPortSection(Section):
     unet: Annotated[int, Field(ge=1, le=65535)] | None = None  # TCP port, as UnetStack has 1100
     # A WHOI Micro-Modem: a TCP port, or the path of a pseudo terminal that we make.
     micromodem: Annotated[int, Field(ge=1, le=65535)] | str | None = None
+    evologics: Annotated[int, Field(ge=1, le=65535)] | None = None  # TCP port, as EvoLogics has 9200; experimental
     host: str = "127.0.0.1"  # the address that it listens on
 
 

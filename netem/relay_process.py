@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import Struct
 
-from netem.config import NetemConfig
 from netem.discovery import Discovery
 from netem.endpoint import ModemEndpoint, ModemRequest, Sea
 from netem.errors import BusError
@@ -31,9 +30,10 @@ from netem.faults import read_faults
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, QUERIES_WAITING, RELAY_WAITING
 from netem.relay import DATAGRAM, MODEM, PUT, QUERY, REPLY, DueMessage, MessageFate, Relay, RobotMessage
+from netem.relay_messages import LoggedMessage, Opened, Port, RelayReport, Setup, WatchedMessage
 from netem.wire import robots
 from netem.wire.robot_queues import Inlet
-from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, Unfit
+from netem.wire.robots import Robot, Ticket, Token, Unfit
 from netem.wire.session import quiet_zenoh
 
 MOST_KEPT_BYTES = 1_000_000  # the bytes of a longer message are not logged
@@ -44,82 +44,6 @@ _BEHIND = 64  # reports that the console may be behind before the relay waits fo
 _SWITCH_S = 0.0005  # what comes waits so long for the interpreter's lock at most, and not 5 ms as by default
 _UDP = "udp/"  # what the keys of datagrams begin with
 _BATCH = 500  # what comes is taken so often before the relay looks for what is due
-
-
-class Port(Struct, frozen=True):
-    """Datagrams that a program of `src` sends to our port, and where they leave to."""
-
-    src: int
-    port: int
-    dst: int
-    host: str
-    to: int  # 0: to the sender of the last datagram of the way back
-
-
-class Watched(Struct, frozen=True):
-    """Something of a robot that the console wants to know, whether the network carries it or not."""
-
-    robot: int
-    key: str  # a key expression of zenoh, or `udp/PORT` for the datagrams of one of our ports
-    token: bool = False  # a liveliness token, and not a message
-
-
-class Setup(Struct):
-    """The settings of the process; they are pickled."""
-
-    config: NetemConfig
-    robots: tuple[RobotEndpoint, ...]
-    carry: tuple[str, ...]
-    ports: tuple[Port, ...] = ()
-    places: dict[int, tuple[float, ...]] = {}
-    place_topics: dict[int, str] = {}
-    header: int = 0
-    fragments: bool = False
-    payloads: bool = False
-    linked: bool = False  # discovery
-    lost_after_ns: int = 0
-    watched: tuple[Watched, ...] = ()
-    modems: tuple[Any, ...] = ()  # modems that programs open: each a `ModemEndpoint`
-    ticks: int = 2**62  # the length of the run, if the console does not end it
-
-
-class LoggedMessage(Struct):
-    """A message as its robot sent it, for the log."""
-
-    tick: int
-    src: int
-    key: str
-    kind: str
-    encoding: str
-    payload: bytes
-
-
-class Opened(Struct):
-    """The first thing that the console hears."""
-
-    ports: dict[int, int] = {}  # by robot whose address leaves its port open: the port of our router
-    problem: str = ""  # why the relay cannot begin
-
-
-class WatchedMessage(Struct):
-    """A message or token that the console wants to know."""
-
-    which: int  # place among those that are watched
-    at_ns: int
-    key: str
-    payload: bytes = b""
-
-
-class RelayReport(Struct):
-    """The events up to a tick."""
-
-    until: int  # below 0: of the time in which programs get ready
-    fates: list[MessageFate]
-    said: list[LoggedMessage] = []
-    placed: list[tuple[int, str, bytes]] = []  # robot, key, and message of a topic that says where it is
-    notes: list[str] = []
-    watched: list[WatchedMessage] = []
-    closing: dict[str, Any] | None = None  # with the last report: counts and lateness
 
 
 class _Moved(NamedTuple):

@@ -22,7 +22,8 @@ from netem.cause import Cause
 from netem.config import NetemConfig
 from netem.limits import RELAY_WAITING, ROBOT_WAITING
 from netem.relay import DATAGRAM, PUT, MessageFate, RobotMessage
-from netem.relay_process import Port, RelayProcess, RelayReport, Setup
+from netem.relay_messages import Port, RelayReport, Setup
+from netem.relay_process import RelayProcess
 from netem.wire import robot_queues
 from netem.wire.robot_queues import Inlet, Outlet
 from netem.wire.robots import RobotEndpoint, Token, Unfit

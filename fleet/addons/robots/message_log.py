@@ -12,7 +12,7 @@ from fleet.errors import FleetError
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.transforms import angles, enu
 from fleet.replay.capture import message_encoding
-from netem.relay_process import LoggedMessage
+from netem.relay_messages import LoggedMessage
 
 _PLACES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
 _MOST_CHANNELS = 10_000  # MCAP has 65,535 of them

@@ -26,7 +26,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.programs import DONE, ProgramSection, filled, programs_of, wanted
 from fleet.scenario.sections.node_signals import told_by
 from netem.fault_kinds import WorldFaultKind
-from netem.relay_process import MOST_NOTES, Watched, WatchedMessage
+from netem.relay_messages import Watched, WatchedMessage
+from netem.relay_process import MOST_NOTES
 from netem.wire.messages import WorldFault
 
 BEFORE_NS = 500_000_000  # from the start of the keeper until every program has begun, where {begin_s} is told before

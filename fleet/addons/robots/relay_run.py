@@ -41,7 +41,8 @@ from netem import relay_process
 from netem.endpoint import ModemEndpoint
 from netem.errors import MalformedMessage
 from netem.faults import NetFault, fault_values
-from netem.relay_process import MOST_NOTES, Opened, Port, RelayReport, Setup, Watched
+from netem.relay_messages import Opened, Port, RelayReport, Setup, Watched
+from netem.relay_process import MOST_NOTES
 from netem.wire.bus import Bus
 from netem.wire.codec import encode
 from netem.wire.control import read_map

@@ -12,7 +12,7 @@ from fleet.addons.robots.ros2.types import types_of
 from fleet.errors import FleetError
 from fleet.logs.reader import LogReader
 from fleet.recorder.log_file import LogFile
-from netem.relay_process import LoggedMessage
+from netem.relay_messages import LoggedMessage
 
 pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
 POSE = "geometry_msgs/msg/PoseStamped"

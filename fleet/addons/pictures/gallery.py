@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from fleet.addons.pictures import any_signal, exchange, track
+from fleet.addons.pictures import any_signal, channel, exchange, track
 from fleet.addons.pictures.answer_times import on_wall_clock, punctuality
 from fleet.addons.pictures.packet_shares import timeline
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, load, origin
@@ -42,6 +42,7 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
     "inputs": (("inputs", "Force and moments as applied, limits, and where a limit was met", inputs),),
     "links": (("links", "What became of the packets of each link, as shares over time", timeline),),
     "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
+    "channel": (("channel", "The acoustic channel: what each modem transmits, hears and loses", channel.timeline),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
     "checks": (),  # a picture for each signal that the checks name
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", punctuality),),
@@ -49,9 +50,11 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
 # Those that are left out where everything is asked for, if they hold for none of the runs.
 _ONLY_IF: dict[str, Callable[[Run], bool]] = {
     "timing": lambda run: on_wall_clock(run) and not run.of_nodes,
+    "channel": channel.is_acoustic,
     **dict.fromkeys(("track", "error", "inputs"), lambda run: not (run.of_nodes or run.moored)),
 }
-PER_RUN = frozenset({"links", "messages", "timing"})  # those that show one run only: of several, each has its own
+# Those that show one run only: of several, each has its own.
+PER_RUN = frozenset({"links", "messages", "channel", "timing"})
 
 
 def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:

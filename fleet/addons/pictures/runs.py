@@ -162,7 +162,7 @@ def labels_of(logs: Sequence[Log]) -> list[str]:
 _WANTED = [*(f"uuv/*/{group}" for group in GROUPS), "faults", "link/*"]
 
 
-_DRAWN = {"link/*": frozenset({"seq", "copy", "sent", "due", "fate", "corrupted"})}  # without payloads
+_DRAWN = {"link/*": frozenset({"seq", "copy", "sent", "due", "delay", "fate", "size", "corrupted"})}  # without payloads
 
 
 def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]:

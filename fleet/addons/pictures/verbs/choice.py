@@ -20,7 +20,7 @@ from fleet.cli.types import (
 from fleet.logs.other import OtherData, other_data
 from fleet.option import Option
 
-KINDS = ("track", "error", "inputs", "links", "messages", "ages", "checks", "timing")
+KINDS = ("track", "error", "inputs", "links", "messages", "channel", "ages", "checks", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written

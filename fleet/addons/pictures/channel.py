@@ -1,0 +1,244 @@
+"""The timeline of an acoustic channel: a row per modem with what it transmits, hears, and loses.
+
+The log has a packet's end at each receiver. The beginning of its transmission follows from that, from the modem's
+airtime, and from the distance. So logs of older versions have this picture, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from fleet.addons.pictures.axes import finish, marks_legend, over_time
+from fleet.addons.pictures.exchange import FATES, links_between, name_rows, rank
+from fleet.addons.pictures.runs import NothingToDraw, Run, View
+from fleet.addons.pictures.style import LABEL_PT
+from fleet.logs.records import Array
+from fleet.logs.topic_names import link_topic
+from netem.cause import Cause
+from netem.condition import Link
+from netem.modem import AcousticConfig
+
+SENDS, OVERHEARD = "transmits", "overhears"
+# The modem has never sent these; or the log does not say whether it had begun when the run ended.
+UNSENT = frozenset({Cause.MTU, Cause.REPLACED, Cause.DEAD_SENDER, Cause.QUEUE, Cause.MUTE, Cause.IN_FLIGHT})
+# They are decided when a transmission begins: nothing of it is heard.
+_AT_START = frozenset({Cause.PARTITION, Cause.DOWN, Cause.LOSS})
+_COLOURS = {SENDS: "#1F3A5F", OVERHEARD: "#DDDDDD"}
+_ROUNDS = 16  # transmissions that the picture shows unless a window is given
+_LANES = 3  # for receptions of one modem that overlap
+_MOST_MODEMS = 24
+_NAMED = 0.02  # of the time axis: a reception that is longer has its sender's number
+
+
+class Transmission(NamedTuple):
+    """A packet on the air."""
+
+    src: int
+    begin: float  # s
+    airtime: float  # s
+    # (modem, when it begins there [s], fate). A modem that it is not for, or that is cut off, overhears it.
+    heard: tuple[tuple[int, float, str], ...]
+
+
+def is_acoustic(run: Run) -> bool:
+    """Whether a run has an acoustic channel."""
+    return run.scenario is not None and run.scenario.acoustic is not None
+
+
+def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
+    """What was on the air for these links, in the order of the beginnings.
+
+    A modem with `tries` sends a packet to each neighbour by itself, and of its tries the last is known. Answers of
+    modems and requests of ranges are not in a log.
+
+    Raises:
+        NothingToDraw: the run has no acoustic channel, or its log has no sizes of packets.
+    """
+    acoustic = None if run.scenario is None else run.scenario.acoustic
+    if acoustic is None:
+        raise NothingToDraw("the network is not acoustic")
+    flights = _Flights(run, acoustic)
+    parts: dict[tuple[int, ...], list[tuple[int, float, float, str, int]]] = {}
+    for src, dst in links:
+        alone = bool(acoustic.modem_of(src).tries)
+        for seq, sent, due, delay, fate, size in _rows(run, (src, dst)):
+            end = sent + delay if fate == Cause.DELIVERED else due
+            parts.setdefault((src, seq, dst) if alone else (src, seq), []).append((dst, end, due, fate, size))
+    found = []
+    for (src, *_), rows in parts.items():
+        sent_rows = [row for row in rows if row[3] not in UNSENT]
+        if sent_rows:
+            airtime = acoustic.modem_of(src).airtime_ns(sent_rows[0][4]) / 1e9
+            begin = _begin(src, airtime, sent_rows, flights, acoustic, run.tick_s)
+            fates = {dst: fate for dst, _, _, fate, _ in sent_rows if fate not in _AT_START}
+            away = {dst: flights.of(src, dst, begin) for dst in run.log.vehicles if dst != src}
+            reach = acoustic.modem_of(src).interference_range / acoustic.sound_speed
+            heard = [(dst, begin + away[dst], fate) for dst, fate in fates.items()]
+            heard += [(dst, begin + s, OVERHEARD) for dst, s in away.items() if dst not in fates and s <= reach]
+            found.append(Transmission(src, begin, airtime, tuple(heard)))
+    return sorted(found, key=lambda one: (one.begin, one.src))
+
+
+def _rows(run: Run, link: Link) -> Iterable[tuple[int, float, float, float, str, int]]:
+    """(number, sent [s], due [s], delay [s], fate, bytes) of each packet of a link, without copies."""
+    packets = run.log[link_topic(link)]
+    if not len(packets):
+        return ()
+    if "size" in packets:
+        sizes = packets["size"]
+    elif "payload" in packets:
+        sizes = np.array([len(payload) for payload in packets["payload"]])
+    else:
+        raise NothingToDraw("the log is too large to know the sizes of its packets: cut it with `fleet export --from`")
+    first = packets["copy"] == 0
+    columns = [packets[name] for name in ("seq", "sent", "due", "delay", "fate")]
+    return zip(*(column[first].tolist() for column in (*columns, sizes)), strict=True)
+
+
+def _begin(
+    src: int,
+    airtime: float,
+    rows: Sequence[tuple[int, float, float, str, int]],
+    flights: _Flights,
+    acoustic: AcousticConfig,
+    tick_s: float,
+) -> float:
+    """When a transmission began: a whole tick. What is cut off has it in the log, what arrived leads to it exactly, and
+    what was lost at a receiver but for a tick.
+    """
+    dst, end, due, fate, _ = min(rows, key=lambda row: (row[3] not in _AT_START, row[3] != Cause.DELIVERED))
+    if fate in _AT_START:
+        return due
+    late = acoustic.modem_of(dst).processing if fate == Cause.DELIVERED else 0.0
+    near = end - late - airtime
+    near -= flights.of(src, dst, near)
+    return float((np.rint if fate == Cause.DELIVERED else np.floor)(near / tick_s + 1e-6) * tick_s)
+
+
+class _Flights:
+    """How long sound takes between vehicles."""
+
+    def __init__(self, run: Run, acoustic: AcousticConfig) -> None:
+        self._speed = acoustic.sound_speed
+        self._ways: dict[int, tuple[Array, Array]] = {}
+        for i in run.log.vehicles:
+            each = [run.series(i, "state", name) for name in ("x", "y", "z")]
+            if all(one is not None for one in each):
+                self._ways[i] = each[0][0], np.hstack([one[1] for one in each])  # type: ignore[index]
+
+    def of(self, src: int, dst: int, at: float) -> float:
+        """The time [s] for the distance at a moment [s]; 0 if it is not known."""
+        if src not in self._ways or dst not in self._ways:
+            return 0.0
+        a, b = ([float(np.interp(at, t, way[:, k])) for k in range(3)] for t, way in (self._ways[src], self._ways[dst]))
+        return float(np.linalg.norm(np.subtract(a, b))) / self._speed
+
+
+def lanes(spans: Sequence[tuple[float, float]]) -> list[int]:
+    """A lane for each span of time, ordered by their beginnings, so that spans in one lane do not overlap."""
+    ends: list[float] = []
+    found = []
+    for begin, end in spans:
+        lane = next((k for k, last in enumerate(ends) if last <= begin), len(ends))
+        ends[lane : lane + 1] = [end]
+        found.append(lane)
+    return found
+
+
+def timeline(runs: Sequence[Run], view: View) -> Figure:
+    """A row per modem: above what it transmits, below what reaches it, each coloured by its fate."""
+    (run,) = runs
+    on_air = transmissions(run, links_between(run, view))
+    if not on_air:
+        raise NothingToDraw("no modem has transmitted")
+    view = view if view.window else View(view.vehicles, view.log_scale, _moment(on_air, run.log.end))
+    assert view.window is not None
+    first, last = view.window
+    shown = [one for one in on_air if one.begin <= last and _last(one) >= first]
+    if not shown:
+        raise NothingToDraw(f"no modem has transmitted from {first:g} to {last:g} s")
+    every = sorted(view.vehicles or run.log.vehicles)
+    modems = every[:_MOST_MODEMS]
+    figure, (ax,) = over_time(1, runs, view, float(np.clip(0.3 * len(modems), 1.0, 6.5)) + 1.2)
+    bars = [bar for row, i in enumerate(modems) for bar in _row(row, i, shown)]
+    handles = []
+    for kind in sorted({bar.kind for bar in bars}, key=lambda kind: (kind != SENDS, kind == OVERHEARD, rank(kind))):
+        colour = _COLOURS[kind] if kind in _COLOURS else FATES.get(kind, ("", "#777777"))[1]
+        some = [bar.corners() for bar in bars if bar.kind == kind]
+        ax.add_collection(
+            PolyCollection(some, facecolors=colour, edgecolors="white", linewidths=0.3, gid=f"channel-{kind}", zorder=2)
+        )
+        handles.append(Patch(color=colour, linewidth=0, label="hears" if kind == Cause.DELIVERED else kind))
+    named = _name_senders(ax, bars, view.window)
+    ax.set_ylim(len(modems) - 0.5, -0.5)
+    name_rows(ax, [run.vehicle_label(i) for i in modems], LABEL_PT)
+    for row in range(1, len(modems)):
+        ax.axhline(row - 0.5, color="0.85", linewidth=0.4, zorder=1)
+    ax.grid(axis="y", visible=False)
+    ax.set_ylabel("node" if run.of_nodes else "vehicle")
+    marks_legend(figure, handles)
+    notes = ["numbers: the senders"] if named else []
+    notes += [] if len(modems) == len(every) else [f"{len(modems)} of {len(every)} modems; others with --vehicles"]
+    finish(figure, [ax], runs, notes)
+    return figure
+
+
+class _Bar(NamedTuple):
+    kind: str
+    src: int
+    begin: float  # s
+    end: float
+    top: float  # of rows
+    bottom: float
+
+    def corners(self) -> list[tuple[float, float]]:
+        top, bottom = self.top, self.bottom
+        return [(self.begin, top), (self.end, top), (self.end, bottom), (self.begin, bottom)]
+
+
+def _row(row: int, i: int, shown: Sequence[Transmission]) -> Iterator[_Bar]:
+    """The bars of one modem: transmissions above the middle of its row, receptions below."""
+    for one in shown:
+        if one.src == i:
+            yield _Bar(SENDS, i, one.begin, one.begin + one.airtime, row - 0.42, row - 0.04)
+    heard = sorted((at, at + one.airtime, fate, one.src) for one in shown for dst, at, fate in one.heard if dst == i)
+    placed = lanes([(begin, end) for begin, end, _, _ in heard])
+    count = min(_LANES, max(placed, default=0) + 1)
+    tall = 0.42 / count
+    for (begin, end, fate, src), lane in zip(heard, placed, strict=True):
+        top = row + 0.02 + tall * min(lane, count - 1)
+        yield _Bar(fate, src, begin, end, top, top + 0.9 * tall)
+
+
+def _name_senders(ax: Axes, bars: Sequence[_Bar], window: tuple[float, float]) -> bool:
+    """The sender's number in each reception that has room for it. Returns whether there is one."""
+    named = False
+    for bar in bars:
+        middle, tall = (bar.begin + bar.end) / 2, bar.bottom - bar.top
+        wide = bar.end - bar.begin > _NAMED * (window[1] - window[0])
+        if bar.kind != SENDS and wide and tall > 0.15 and window[0] < middle < window[1]:
+            named = True
+            ax.text(middle, (bar.top + bar.bottom) / 2, str(bar.src), color="black", fontsize=LABEL_PT - 1,
+                    ha="center", va="center_baseline", zorder=3)  # fmt: skip
+    return named
+
+
+def _last(one: Transmission) -> float:
+    return max([one.begin, *(at for _, at, _ in one.heard)]) + one.airtime
+
+
+def _moment(on_air: Sequence[Transmission], end: float) -> tuple[float, float]:
+    """A window of some transmissions: around the first collision, or from the first transmission on."""
+    begins = np.array([one.begin for one in on_air])
+    gap = float(np.median(np.diff(begins))) if len(begins) > 1 else 0.0
+    width = max(_ROUNDS * gap, 6.0 * max(_last(one) - one.begin for one in on_air[:100]))
+    spoiled = [at for one in on_air for _, at, fate in one.heard if fate in (Cause.COLLISION, Cause.HALF_DUPLEX)]
+    begin = max(0.0, min((min(spoiled) if spoiled else float(begins[0])) - width / 3, end - width))
+    return begin, min(begin + width, end)

@@ -1,0 +1,81 @@
+"""The timeline of a channel: what a log says of transmissions is what the channel did."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from in_process_runs import recorded
+
+from fleet.addons.pictures.channel import OVERHEARD, SENDS, lanes, timeline, transmissions
+from fleet.addons.pictures.runs import NothingToDraw, Run, View, load
+from netem.acoustic import AcousticChannel
+from netem.cause import Cause
+
+PARTITION = "faults=[{at: 8 s, for: 6 s, partition: '1,2 / 3,4'}]"
+LOSSY = "network.links={'*': loss 20%}"
+
+
+def ran(folder: Path, monkeypatch: pytest.MonkeyPatch, *changes: str) -> tuple[Run, set[tuple[int, int]]]:
+    """A run with (modem, first tick) of each of its transmissions."""
+    begun: set[tuple[int, int]] = set()
+    transmit = AcousticChannel._transmit
+
+    def listening(self: AcousticChannel, src: int, start: int, *rest: Any) -> None:
+        begun.add((src, start))
+        transmit(self, src, start, *rest)
+
+    monkeypatch.setattr(AcousticChannel, "_transmit", listening)
+    result = recorded(folder, "acoustic-s2c", "duration=30 s", "checks={}", *changes)
+    return load([result.directory])[0], begun
+
+
+@pytest.mark.parametrize("changes", [(), (PARTITION, LOSSY), ("network.acoustic={modem: s2c, mac: csma}",)])
+def test_every_transmission_is_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: tuple[str, ...]
+) -> None:
+    run, begun = ran(tmp_path, monkeypatch, *changes)
+    found = transmissions(run, run.log.links)
+    at = {(one.src, round(one.begin / run.tick_s)) for one in found}
+    # What is in flight at the end is left out, since the log does not say whether it had begun.
+    last = {src: max(tick for i, tick in begun if i == src) for src, _ in begun}
+    assert at <= begun and begun - at <= set(last.items()) and len(at) > 20
+    for one in found:
+        for dst, when, _ in one.heard:
+            assert when > one.begin and dst != one.src
+
+
+def test_what_is_lost_is_there_where_it_would_have_been_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reception is spoiled where another is on the air at the receiver, which the picture has to show."""
+    run, _ = ran(tmp_path, monkeypatch)
+    found = transmissions(run, run.log.links)
+    spoiled = [(dst, at, one) for one in found for dst, at, fate in one.heard if fate == Cause.COLLISION]
+    assert spoiled
+    for dst, at, one in spoiled:
+        others = [t for other in found if other is not one for i, t, _ in other.heard if i == dst]
+        assert any(abs(t - at) < one.airtime + run.tick_s for t in others)
+    duplex = [(dst, at, one) for one in found for dst, at, fate in one.heard if fate == Cause.HALF_DUPLEX]
+    assert duplex
+    for dst, at, one in duplex:
+        assert any(o.src == dst and abs(o.begin - at) < one.airtime + run.tick_s for o in found)
+
+
+def test_a_row_for_each_modem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, _ = ran(tmp_path, monkeypatch)
+    (ax,) = timeline([run], View()).axes
+    assert [text.get_text() for text in ax.get_yticklabels()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
+    drawn = {str(one.get_gid()).removeprefix("channel-"): one for one in ax.collections}
+    assert {SENDS, Cause.DELIVERED, OVERHEARD} <= drawn.keys()
+    (ax,) = timeline([run], View((1, 2), None, (5.0, 9.0))).axes
+    assert ax.get_xlim() == (5.0, 9.0) and len(ax.get_yticklabels()) == 2
+
+
+def test_no_water_no_timeline(tmp_path: Path) -> None:
+    run = load([recorded(tmp_path, "paper", "duration=1 s", "checks={}").directory])[0]
+    with pytest.raises(NothingToDraw, match="not acoustic"):
+        timeline([run], View())
+
+
+def test_spans_that_overlap_have_lanes_of_their_own() -> None:
+    assert lanes([(0.0, 2.0), (1.0, 3.0), (2.0, 4.0), (2.5, 5.0), (3.0, 6.0)]) == [0, 1, 0, 2, 1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from math import exp
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,24 @@ from stacks import Stack
 
 PROGRAMS = Path(__file__).parent / "programs"
 LIMIT_S = 200.0
+AIRTIME_S = 0.02
+QUICK = """
+name = "quick"
+title = "A modem of a test: 20 ms on the air, and no noise"
+[modem]
+carrier = { value = 26, unit = "kHz", source = "assumption" }
+bandwidth = { value = 16, unit = "kHz", source = "assumption" }
+source_level = { value = 184, unit = "dB", source = "assumption" }
+directivity = { value = 0, unit = "dB", source = "assumption" }
+max_range = { value = 1, unit = "km", source = "assumption" }
+interference_range = { value = 2, unit = "km", source = "assumption" }
+mtu = { value = 64, unit = "bytes", source = "assumption" }
+lost_below = { value = 8, unit = "dB", source = "assumption" }
+clear_above = { value = 8, unit = "dB", source = "assumption" }
+capture = { value = 100, unit = "dB", source = "assumption: whatever overlaps is lost" }
+preamble = { value = 20, unit = "ms", source = "assumption" }
+bit_rate = { value = 1e8, unit = "bit/s", source = "assumption" }
+"""
 WATER = {"acoustic": {"modem": "s2c", "backoff": "300 ms", "queue": 10}}
 
 
@@ -58,3 +77,21 @@ def test_a_script_of_acomms_runs_as_it_is(tmp_path: Path) -> None:
     assert found["ids"] == [1, 2] and found["travel_s"] == 1.0
     assert found["acknowledged"] == ["2", "1", "1", "1"] and found["mini"] == ["1", "2", "1ABC"]
     assert not any(path.is_symlink() for path in terminals)
+
+
+@pytest.mark.slow
+def test_ten_modems_that_talk_at_random_are_an_aloha(tmp_path: Path) -> None:
+    """Of Poisson traffic G per airtime a modem hears exp(-2 G) of what it is sent, and less by its own silence."""
+    (tmp_path / "quick.toml").write_text(QUICK, "utf-8")
+    ports = [free_port() for _ in range(10)]
+    nodes = {f"n{k}": {"modem": {"evologics": port}, "place": f"{k} 0 10 m"} for k, port in enumerate(ports)}
+    water = {"acoustic": {"modem": str(tmp_path / "quick.toml"), "backoff": "0 ms", "queue": 10}}
+    with Stack(tmp_path, nodes=nodes, network=water, tick="1 ms").begun() as stack:
+        offered = 0.5  # transmissions that begin in one airtime of 20 ms
+        sent = says("aloha_program.py", offered / len(ports) / AIRTIME_S, 40.0, *ports)
+        result = stack.end()
+    links = result.ledger.values()
+    assert sum(link.sent for link in links) == 9 * sent and sent > 900
+    share = sum(link.delivered for link in links) / sum(link.sent for link in links)
+    load = sent * AIRTIME_S / 40.0
+    assert share == pytest.approx(exp(-2 * load * 0.9), rel=0.12)  # nine others: the receiver, and eight beside it

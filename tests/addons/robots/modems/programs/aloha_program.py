@@ -1,26 +1,39 @@
-"""Programs for EvoLogics modems that talk when they like: Poisson traffic of instant messages on each port."""
+"""Ten programs for UnetStack in one: each broadcasts frames at random, at any time or at the beginning of a slot."""
 
 import random
-import socket
 import sys
 from heapq import heapify, heapreplace
-from threading import Thread
 from time import monotonic, sleep
 
-rate, seconds, ports = float(sys.argv[1]), float(sys.argv[2]), [int(port) for port in sys.argv[3:]]
+from unetpy import Services, TxFrameReq, UnetSocket
+
+rate, seconds, slot, ports = float(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3]), list(map(int, sys.argv[4:]))
 draws = random.Random(1)
-modems = [socket.create_connection(("127.0.0.1", port)) for port in ports]
-for modem in modems:
-    Thread(target=lambda modem=modem: [None for _ in iter(lambda: modem.recv(65536), b"")], daemon=True).start()
-begin = monotonic()
-turns = [(begin + draws.expovariate(rate), n) for n in range(len(modems))]
+gateways = [UnetSocket("127.0.0.1", port).getGateway() for port in ports]
+modems = [gateway.agentForService(Services.PHYSICAL) for gateway in gateways]
+for gateway in gateways:
+    gateway.flush()
+
+
+def gap() -> float:
+    """The time to the next frame of a program: of Poisson traffic, or a whole number of slots."""
+    if not slot:
+        return draws.expovariate(rate)
+    slots = 1
+    while draws.random() >= rate * slot:
+        slots += 1
+    return slots * slot
+
+
+begin = monotonic() + 0.5
+turns = [(begin + gap(), n) for n in range(len(ports))]
 heapify(turns)
 sent = 0
 while turns[0][0] < begin + seconds:
     at, n = turns[0]
     sleep(max(0.0, at - monotonic()))
-    modems[n].sendall(b"+++AT*SENDIM,8,255,noack,12345678\n")
+    gateways[n].send(TxFrameReq(recipient=modems[n], to=0, data=[1, 2, 3, 4]))
     sent += 1
-    heapreplace(turns, (at + draws.expovariate(rate), n))
+    heapreplace(turns, (at + gap(), n))
 sleep(1.0)
 print(sent)

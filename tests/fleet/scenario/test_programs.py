@@ -104,7 +104,7 @@ def test_a_file_of_zenoh_is_found_from_the_record_as_well(tmp_path: Path) -> Non
 
 @given(st.text("{}nodesumbr1 ", max_size=30), st.dictionaries(st.sampled_from(PLACEHOLDERS), st.integers()))
 def test_only_known_placeholders_are_filled(text: str, values: dict[str, int]) -> None:
-    """Other braces stay as they are, so that JSON may stand in a command line; what is filled in is not filled again."""
+    """Other braces stay as they are, so that JSON may stand in a command line."""
     expected = text
     for name in PLACEHOLDERS:
         expected = expected.replace(f"{{{name}}}", str(values.get(name, f"{{{name}}}")))

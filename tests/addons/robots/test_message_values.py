@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from contextlib import suppress
 from math import inf, isnan, nan
 from typing import Any
 
@@ -93,18 +94,14 @@ def test_a_damaged_message_is_said_in_one_short_line(kind: str, payload: bytes) 
 
 @given(st.binary(max_size=40), st.sampled_from(["json", "msgpack", "cbor", "struct"]))
 def test_any_bytes_have_a_number_or_none(payload: bytes, kind: str) -> None:
-    try:
+    with suppress(NoNumber):
         assert isinstance(read(payload, **{kind: "<Hb" if kind == "struct" else "[0]"}), float)
-    except NoNumber as error:
-        assert str(error)
 
 
 @given(_PLAIN, st.lists(st.integers(-3, 3) | st.sampled_from(["x", "real", "__class__"]), max_size=3))
 def test_any_value_has_a_number_at_a_path_or_none(value: Any, path: list[str | int]) -> None:
-    try:
+    with suppress(NoNumber):
         assert isinstance(number_at(value, path), float)
-    except NoNumber as error:
-        assert str(error)
 
 
 def test_cbor_without_its_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

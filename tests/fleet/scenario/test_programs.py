@@ -19,7 +19,6 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.programs import PLACEHOLDERS, filled, path_of, programs_of, struct_of, wanted
 from fleet.scenario.sections.node_signals import node_layout, told_by
 from fleet.scenario.trust import Policy
-from world.errors import UntrustedError
 from world.plugins.trust import trusting
 
 NODES = {"m1": {}, "m2": {}, "shore": {}}
@@ -149,7 +148,7 @@ def test_programs_of_a_stranger_need_the_users_word() -> None:
     """The refusal names the command and its folder; a study asks before it makes any run."""
     scenario = stack(programs={"m1": {"run": "rm 'a b'"}}, compose="c.yaml")
     admit_programs(scenario.spec, Policy(stranger=""))
-    with pytest.raises(UntrustedError) as caught:
+    with pytest.raises(FleetError) as caught:
         admit_programs(scenario.spec, Policy())
     assert "m1" in str(caught.value) and "rm 'a b'" in str(caught.value) and "--trust" in str(caught.value)
     with trusting(True):

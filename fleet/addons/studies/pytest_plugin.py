@@ -74,9 +74,10 @@ def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path
     for seed in seeds:
         result, log = _once(name, [*texts, f"seed={seed}"], trust)
         if not result.passed:
+            verb = "netem" if log else "run"
             place = directory.with_name(f"{directory.name}-seed-{seed}")
             log = log or _kept(name, [*texts, f"seed={seed}"], trust, place)
-            pytest.fail(_words(name, texts, result, len(seeds), log), pytrace=False)
+            pytest.fail(_words(verb, name, texts, result, len(seeds), log), pytrace=False)
         found.append(result)
         for verdict in result.checks:
             if verdict.reached is not None:
@@ -118,7 +119,7 @@ def _kept(name: str, changes: list[str], trust: bool, directory: Path) -> str:
     return f"its log: {directory} (fleet view {directory})"
 
 
-def _words(name: str, changes: list[str], result: Result, of: int, log: str) -> str:
+def _words(verb: str, name: str, changes: list[str], result: Result, of: int, log: str) -> str:
     from shlex import quote
 
     failed = [one for one in result.checks if not one.passed]
@@ -129,6 +130,5 @@ def _words(name: str, changes: list[str], result: Result, of: int, log: str) -> 
         *([result.reason] if result.reason else []),
     ]
     lines += [f"  {one.check}: {one.asked}; found {one.words}" for one in failed]
-    return "\n".join(
-        [*lines, f"fleet run {quote(name)} --seed {result.seed}{more}  # sha256 {result.digest[:16]}", log]
-    )
+    digest = f"  # sha256 {result.digest[:16]}" if verb == "run" else ""  # on the wall clock each log is another one
+    return "\n".join([*lines, f"fleet {verb} {quote(name)} --seed {result.seed}{more}{digest}", log])

@@ -68,6 +68,9 @@ class StackRuns:
                         task, tries = again.popleft()
                     elif (new := next(tasks, None)) is not None:
                         task, tries = new, 1
+                        if task.modules.alone and self._given != 1:
+                            self._tell("runs go on one at a time, because nodes have ports of their own")
+                            self._given = self._at_once = 1
                     else:
                         more = False
                         continue

@@ -145,7 +145,7 @@ FAULTS = {"faults": [
 @pytest.mark.slow
 def test_a_failure_is_found_made_small_kept_and_repeated(here: Path) -> None:
     """What is kept fails again from any folder; when it is mended, regress says so."""
-    nemesis = {"every": "200 ms", "for": "900 ms", "pick": ["mute"]}
+    nemesis = {"every": "200 ms", "for": "750 ms", "pick": ["partition"]}
     write(here, nemesis=nemesis)
     said = called("search", "stack.yaml", "--budget", "2", "--keep", "failures", status=1)
     (failure,) = FailureFolder(here / "failures").failures()

@@ -175,8 +175,7 @@ def test_faults_of_programs_are_told_in_times_of_the_clock(tmp_path: Path) -> No
     ]  # fmt: skip
     found = one(tmp_path, faults=faults)
     found._keeper = SimpleNamespace()  # type: ignore[assignment]
-    parts = found._scenario.faults
-    found.plan([*parts.network, *parts.world, *parts.kills], found._scenario.tick_ns)
+    found.plan(found._scenario.faults.parts, found._scenario.tick_ns)
     s, end = 1000 + 10**9, 1000 + 2 * 10**9
     (told,) = found.told
     assert told["dead"] == {"m1": [[s, end]]}

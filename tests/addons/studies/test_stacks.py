@@ -82,6 +82,7 @@ def test_a_sweep_has_its_rows_and_says_how_a_run_failed(here: Path) -> None:
     assert list(frame["passed"]) == [True, False]
     assert list(frame["check.programs"]) == [True, True]
     assert list(frame["loss_share"]) == [0.0, 1.0]
+    assert frame["digest"].isna().all()  # on the wall clock each log is another one
     (kept,) = (directory / "logs").iterdir()
     assert "seed 1 failed at *.loss=100" in said and "hears: " in said
     assert f"fleet netem {kept / 'scenario.yaml'} --trust" in said

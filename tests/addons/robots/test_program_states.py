@@ -1,4 +1,4 @@
-"""The programs of a run as the console knows them: what was told happens at its time, and is judged. None is started."""
+"""The programs of a run as the console knows them: what was told happens at its time, and is judged; none starts."""
 
 from __future__ import annotations
 

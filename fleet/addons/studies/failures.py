@@ -251,7 +251,7 @@ class Regression:
 def _compared(failure: FoundFailure, rows: list[Row]) -> RegressionResult:
     row, fails, of = voted(rows, failure.check)
     found = _compared_one(failure, row)
-    if len(rows) == 1:
+    if len(rows) == 1 or found.broken:
         return found
     count = fails if failure.check in row.failed_checks else of - fails
     return replace(found, got=f"{found.got} in {count} of {of} runs", differs=False)

@@ -68,6 +68,9 @@ class StackRuns:
                         task, tries = again.popleft()
                     elif (new := next(tasks, None)) is not None:
                         task, tries = new, 1
+                        if task.modules.alone and self._given != 1:
+                            self._tell("runs go on one at a time, because nodes have ports of their own")
+                            self._given = self._at_once = 1
                     else:
                         more = False
                         continue
@@ -161,6 +164,7 @@ class _Run:
             if time.monotonic() - self._begun > self._most_s and result.status is not Status.PASS:
                 return failed_row(task, late(task))
             row = measured_row(result, self._samples(scenario, directory))
+            row.digest = None  # on the wall clock each log is another one
             if not result.passed:
                 row.reason = "; ".join(filter(None, (row.reason, self._kept(directory))))
             return row

@@ -40,6 +40,11 @@ def programs(parts: Parts, report: Report) -> None:
             report.add((*path, "ready"), f"expected one condition, got {' and '.join(given)}")
         if ready.after is not None and ready.after > ready.within:
             report.add((*path, "ready", "after"), "is longer than within", "within: the longest wait")
+    known = [name for name, _, _ in programs_of(spec.programs or {}, names)]
+    for pattern in (spec.checks.programs or {}) if known else ():
+        if not nodes_of(pattern, [*known, *(name.partition("/")[0] for name in known)]):
+            hint = nearest(pattern, known) or f"the programs are {', '.join(known)}"
+            report.add(("checks", "programs", pattern), f"there is no program {pattern}", hint, key=True)
     told = [text for section in (spec.programs or {}).values() for text in (*section.run, *section.env.values())]
     early = any("{begin_s}" in text for text in told)
     for _, node, section in programs_of(spec.programs or {}, names):
@@ -58,7 +63,7 @@ def signals(parts: Parts, report: Report) -> None:
         found = nodes_of(section.of, nodes)
         if not found:
             report.add(("signals", name, "of"), f"there is no node {section.of}", _known(section.of, nodes))
-        key = section.message
+        key = section.message if section.ros is None else (section.message or "").strip("/")  # as ROS 2 names topics
         if key is None or key.startswith("udp/"):
             continue
         from netem.wire.robots import check_key  # here, because it imports zenoh

@@ -10,7 +10,7 @@ from typing import Any
 from fleet.scenario.schema.nodes import RESERVED
 
 # Keys whose values are no selectors.
-FREE = ("id", "name", "modem", "site", "preset", "trace", "topic", "mode", "aims", "pick")
+FREE = ("id", "name", "modem", "site", "preset", "trace", "topic", "mode", "aims", "pick", "programs")
 _NUMBERS = re.compile(r"(isolate:\s*)?[\d\s,/<>*-]+", re.ASCII)
 _SELECTOR = re.compile(r"[\w\s,/<>*:.-]+", re.ASCII)
 

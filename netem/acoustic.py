@@ -3,7 +3,8 @@
 The channel has no clock and no I/O. `netem.network` calls it. It writes packets and losses to a `Transit`. A round has
 m ticks. In the round that begins at tick k, that is in the ticks k to k + m - 1:
 
-1. A payload enters the transmit buffer of its modem. If the buffer is full, the oldest payload in it is `replaced`. A
+1. A payload enters the transmit buffer of its modem. If the buffer is full, the oldest payload in it is `replaced`, as
+   is right for states of a formation. With `refuses` the new payload is lost instead, as is right for datagrams. A
    start tick that is already fixed does not change, so a new payload never delays a transmission.
 2. The MAC (medium access control) fixes the starts in the round, at whole ticks and never before the modem is free.
    `aloha`: a seeded random back-off after the payload is in the buffer and the modem is free. `csma`: the same, but if
@@ -27,6 +28,7 @@ The causes of a loss, in the order of the checks. From the tick `final at` on, t
 | `mtu` | round tick | the payload is longer than the modem accepts, or does not fit into a slot |
 | `replaced` | round tick | a newer payload replaced it in the full buffer |
 | `dead sender` | round tick | the sending vehicle lost its agent while the payload waited |
+| `queue` | round tick | the buffer of a modem that refuses was full |
 | `mute`, `partition`, `down`, `loss`, `queue` | start | a fault or the link's condition, besides the acoustic causes |
 | `range` | end of reception | the receiver is beyond the modem's range |
 | `half duplex` | likewise | the receiver itself transmits during a part of the reception |
@@ -168,7 +170,11 @@ class AcousticChannel:
             self._failed(station, transfer, now)
         while station.late and station.late[0].ready_tick <= now:
             joins = station.late.pop(0)
-            if len(station.waiting) >= self._acoustic.buffer:
+            full = len(station.waiting) >= self._acoustic.buffer
+            if full and self._acoustic.refuses:
+                self._lose_unsent(src, joins, joins.ready_tick, Cause.QUEUE)
+                continue
+            if full:
                 self._lose_unsent(src, station.waiting.pop(0), joins.ready_tick, Cause.REPLACED)
             station.waiting.append(joins)
             self._schedule(station, joins.ready_tick)

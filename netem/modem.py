@@ -89,6 +89,7 @@ class AcousticConfig:
     slot_ticks: int = 0  # tdma: vehicle after vehicle, in the order of their numbers
     guard_ns: int = DEFAULT_GUARD_NS  # tdma: of each slot, kept silent for propagation
     buffer: int = 1  # payloads that wait in a modem
+    refuses: bool = False  # True: what comes when the buffer is full is lost; False: it replaces the oldest
     sound_speed: float = SOUND_SPEED  # m/s
     water: propagation.SeaWater | None = None  # the water that absorbs sound; None: Thorp's, of 4 deg C
     spreading: float = 1.5  # 1 cylindrical, 1.5 practical, 2 spherical

@@ -161,6 +161,13 @@ def test_a_buffer_of_two_keeps_order_and_drops_the_oldest() -> None:
     assert found == [(0, "replaced", 0), (1, "delivered", 2), (2, "delivered", 3)]
 
 
+def test_a_queue_keeps_what_waits_and_refuses_what_comes() -> None:
+    """Datagrams: of four at once two wait, and the others are lost; none is replaced."""
+    fates = run(channel(replace(AT_ONCE, buffer=2, refuses=True)), [{1: (b"a", b"b", b"c", b"d")}, {}])
+    found = sorted((f.seq, f.cause, f.due_tick) for f in fates if f.dst == 2)
+    assert found == [(0, "delivered", 2), (1, "delivered", 3), (2, "queue", 0), (3, "queue", 0)]
+
+
 def test_a_modem_that_talks_does_not_begin_again() -> None:
     """64 bytes at half the rate last until tick 128: what comes at tick 100 starts then."""
     acoustic = AcousticConfig(replace(MODEM, bit_rate=400.0))

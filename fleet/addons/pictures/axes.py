@@ -298,7 +298,7 @@ def draw_lines(
         else:
             own = vehicle_colours(vehicles)
             styles = {i: {"color": own[i], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
-            entries = [Line2D([], [], label=f"UUV {i}", **one) for i, one in styles.items()]
+            entries = [Line2D([], [], label=run.vehicle_label(i), **one) for i, one in styles.items()]
         for (ax, _), signals in zip(panel, found, strict=True):
             whole = 0.0 if exact else reach(signals.values(), log)
             for i in sorted(signals.keys() & styles.keys()):

@@ -429,7 +429,7 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[A
         return [t._replace(colour=look[t.run.label][0], style=look[t.run.label][1]) for t in found], list(entries)
     named = shown if len(shown) <= MOST_NAMED else _worst(runs[0], shown)
     of = vehicle_colours(named)
-    entries = [Line2D([], [], color=colour, label=f"UUV {i}") for i, colour in of.items()]
+    entries = [Line2D([], [], color=colour, label=runs[0].vehicle_label(i)) for i, colour in of.items()]
     if len(named) < len(shown):
         entries.append(Line2D([], [], color=GREY, linewidth=THIN, label=f"{len(shown) - len(named)} others"))
     return [track._replace(colour=of.get(track.vehicle, GREY)) for track in found], list(entries)

@@ -121,6 +121,8 @@ def _kept(name: str, changes: list[str], trust: bool, directory: Path) -> str:
 def _words(name: str, changes: list[str], result: Result, of: int, log: str) -> str:
     from shlex import quote
 
+    from fleet.addons.studies.stack_runs import told_of
+
     failed = [one for one in result.checks if not one.passed]
     more = "".join(f" --set {quote(text)}" for text in changes)
     names = ", ".join(one.check for one in failed) or str(result.status)
@@ -129,6 +131,8 @@ def _words(name: str, changes: list[str], result: Result, of: int, log: str) -> 
         *([result.reason] if result.reason else []),
     ]
     lines += [f"  {one.check}: {one.asked}; found {one.words}" for one in failed]
+    if result.directory is not None:  # of programs on the wall clock, which has no digest that comes again
+        return "\n".join([lines[0], *told_of(result.directory), log])
     return "\n".join(
         [*lines, f"fleet run {quote(name)} --seed {result.seed}{more}  # sha256 {result.digest[:16]}", log]
     )

@@ -77,6 +77,8 @@ def acoustic(parts: Parts, report: Report) -> None:
     for key in ("slot", "backoff"):
         if getattr(section, key):
             whole_multiple(report, (*at, key), getattr(section, key), spec.tick)
+    if section.queue is not None and report.has((*at, "buffer")):
+        report.add((*at, "queue"), "waits in place of buffer: give one of them", key=True)
     _water(parts, report, section)
     if section.sound_speed is not None and not 100.0 <= section.sound_speed <= 10_000.0:
         report.add((*at, "sound_speed"), f"must be between 100 and 10000 m/s, is {section.sound_speed:g}")

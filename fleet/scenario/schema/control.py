@@ -11,7 +11,7 @@ from fleet.scenario import value_types as v
 from fleet.scenario.schema.clock import ClockSection
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
-from fleet.scenario.value_types import Section, word_for
+from fleet.scenario.value_types import Section, mistake, word_for
 
 
 class LawSection(Section):
@@ -97,7 +97,10 @@ class AgentSection(Section):
             return value
         own = {key: each for key, each in value.items() if key in cls.model_fields}
         more = {key: each for key, each in value.items() if key not in {*own, "program"}}
-        parameters = (own.get("parameters") or {}) | more
+        given = own.get("parameters") or {}
+        if twice := sorted(given.keys() & more.keys()):
+            raise mistake(f"agent.{twice[0]} and agent.parameters.{twice[0]} are the same", hint="give one of them")
+        parameters = given | more
         return own | {"law": f"program:{value['program']}"} | ({"parameters": parameters} if parameters else {})
 
 

@@ -84,7 +84,8 @@ class AcousticSection(ModemSection):
     backoff: v.Time | None = None  # aloha, csma: the largest; default: aloha has its highest throughput
     slot: v.Period | None = None  # tdma
     guard: v.Time | None = None  # tdma; 100 ms
-    buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait
+    buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait; a new one replaces the oldest
+    queue: Annotated[int, Field(ge=1, le=1000)] | None = None  # in place of it: a new one is refused when so many wait
     sound_speed: v.PositiveSpeed | None = None  # 1500 m/s
     water: WaterSection | None = None  # in place of a speed
     spreading: v.Spreading | None = None  # default: the spreading of the site, or 1.5

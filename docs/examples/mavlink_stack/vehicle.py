@@ -1,6 +1,6 @@
 """A vehicle that speaks MAVLink over UDP: a heartbeat every second, and its parameters if somebody asks for them.
 
-    python vehicle.py PORT
+python vehicle.py PORT
 """
 
 import sys
@@ -10,6 +10,7 @@ from pymavlink import mavutil
 
 PARAMETERS = {"ATC_ANG_PIT_P": 6.0, "ATC_ANG_YAW_P": 6.0, "PSC_POSZ_P": 3.0, "SURFACE_DEPTH": -10.0, "JS_GAIN_MAX": 1.0}
 FLOAT = mavutil.mavlink.MAV_PARAM_TYPE_REAL32
+WHAT = (mavutil.mavlink.MAV_TYPE_SUBMARINE, mavutil.mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 
 link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{sys.argv[1]}", source_system=1)
 names, beat_s = list(PARAMETERS), 0.0
@@ -22,7 +23,7 @@ def send(name: str) -> None:
 while True:
     if time.monotonic() - beat_s >= 1:
         beat_s = time.monotonic()
-        link.mav.heartbeat_send(mavutil.mavlink.MAV_TYPE_SUBMARINE, mavutil.mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 0)
+        link.mav.heartbeat_send(*WHAT, 0, 0, 0)
     message = link.recv_match(type=["PARAM_REQUEST_LIST", "PARAM_REQUEST_READ"], blocking=True, timeout=0.1)
     if message is None:
         continue

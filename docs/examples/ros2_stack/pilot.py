@@ -1,6 +1,6 @@
 """A node of ROS 2 that sends a set point of depth, five times a second, without ROS: by zenoh-ros2-sdk.
 
-    python pilot.py ROUTER     such as tcp/127.0.0.1:7501
+python pilot.py ROUTER     such as tcp/127.0.0.1:7501
 """
 
 import itertools

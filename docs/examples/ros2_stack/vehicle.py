@@ -1,6 +1,6 @@
 """A node of ROS 2 that dives to the set point that it has heard last, and tells its depth: by zenoh-ros2-sdk.
 
-    python vehicle.py ROUTER   such as tcp/127.0.0.1:7501
+python vehicle.py ROUTER   such as tcp/127.0.0.1:7501
 """
 
 import sys

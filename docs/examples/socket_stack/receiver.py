@@ -1,6 +1,6 @@
 """The robot's side of a stop-and-wait transfer over plain UDP: it acknowledges each block, and prints how many it has.
 
-    python receiver.py PORT BLOCKS
+python receiver.py PORT BLOCKS
 """
 
 import socket

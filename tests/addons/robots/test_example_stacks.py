@@ -1,4 +1,4 @@
-"""The stacks of docs/examples: programs of ROS 2, MAVLink and plain sockets keep what they promise over a lossy network."""
+"""The stacks of docs/examples: programs of ROS 2, MAVLink and plain sockets keep their promises."""
 
 from __future__ import annotations
 

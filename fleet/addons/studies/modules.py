@@ -38,7 +38,6 @@ class Modules(NamedTuple):
     fingerprints: tuple[str, ...] = ()  # SHA-256 of each file, which workers check before they import a module
     names: tuple[str, ...] = ()  # of the modules of laws, plants and checks
     programs: bool = False  # whether the runs are those of a stack, whose programs are started with each
-    alone: bool = False  # whether its nodes have ports that no two runs can have at a time
     units: tuple[str, ...] = ()  # files of plants that are FMUs, as the scenarios name them
     carried: tuple[tuple[str, bytes], ...] = ()  # path and content of each file, for other machines
 
@@ -86,9 +85,7 @@ def _of_stacks(scenarios: list[Scenario], folder: Path | None) -> Modules:
     """What runs of programs need: these are let in as a whole, and `fleet netem` imports the checks in Python."""
     for scenario in scenarios:
         admit_programs(scenario.spec, scenario.reading.policy)
-    nodes = [node for scenario in scenarios for node in (scenario.spec.nodes or {}).values()]
-    alone = any(node.listen or node.connect or node.udp for node in nodes)
-    return Modules(None if folder is None else str(folder.resolve()), programs=True, alone=alone)
+    return Modules(None if folder is None else str(folder.resolve()), programs=True)
 
 
 def packed(modules: Modules) -> Modules:

@@ -20,7 +20,7 @@ from fleet.addons.studies import stack_runs
 from fleet.addons.studies.engine import DaskEngine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.failures import FailureFolder, FoundFailure, Regression, file_of
-from fleet.addons.studies.modules import Modules, modules_of
+from fleet.addons.studies.modules import Modules
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import Plan
 from fleet.addons.studies.row import FAILED, LATE, CheckRow, Row, voted
@@ -276,20 +276,6 @@ def test_as_many_go_on_at_a_time_as_the_first_one_leaves_room_for(
     fake.most = 0
     made(StackRuns(5), 80)
     assert fake.most == 5
-
-
-def test_runs_whose_nodes_have_ports_of_their_own_go_on_one_at_a_time(fake: type[FakeRun]) -> None:
-    """No second one could listen there. The user is told once."""
-    nodes = {"m1": {"udp": {"9001": "m2:9101"}}, "m2": {"udp": {"9002": "m1:9102"}}, "m3": {}}
-    assert not modules_of([stack()], None).alone
-    modules = modules_of([stack(nodes=nodes)], None)
-    told: list[str] = []
-    for given in (None, 4):
-        StackRuns(given, told.append).make(
-            (task._replace(modules=modules) for task in tasks(9)), lambda rows: None, lambda: None
-        )
-    assert (fake.most, len(told)) == (1, 2)
-    assert "one at a time" in told[0]
 
 
 def test_a_cluster_makes_no_runs_of_stacks() -> None:

@@ -37,6 +37,17 @@ _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LIBC = ctypes.CDLL(None)
 
 
+def _sent(pid: int, number: int) -> bool:
+    """Whether a process could be sent a signal, or is gone: that of another user, as `sudo` starts one, cannot."""
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return True
+    except PermissionError:
+        return False
+    return True
+
+
 class Keeper:
     """All programs of a run."""
 
@@ -123,9 +134,8 @@ class Keeper:
     def _end_all(self) -> None:
         """Kill everything that was started here, also what has left the session of its program."""
         while pids := list(descendants([os.getpid()])):
-            for pid in pids:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+            if not any([_sent(pid, signal.SIGKILL) for pid in pids]):
+                return  # they are another user's
             with suppress(ChildProcessError):
                 os.waitpid(-1, 0)
 
@@ -182,8 +192,7 @@ class Program:
         elif self.process is not None and not self._killed and paused != self._paused:
             self._paused = paused
             for pid in self._tree():
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGSTOP if paused else signal.SIGCONT)
+                _sent(pid, signal.SIGSTOP if paused else signal.SIGCONT)
             self._keeper.say(at=now, **{"paused" if paused else "resumed": self.name})
         changes = [at for spans in (self._dead, self._held) for span in spans for at in span if at and at > now]
         return min([*changes, self._look_ready(now)], default=now + 10**9)
@@ -310,8 +319,7 @@ class Program:
             self._close()
         now, killed = monotonic_ns(), self._killed
         for pid in self._tree():  # what it leaves behind would speak in its name
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+            _sent(pid, signal.SIGKILL)
         self.process.returncode = code
         self.process = None
         if killed:
@@ -321,13 +329,12 @@ class Program:
         self._keeper.say(at=now, ended=self.name, code=code, tail=list(self._tail))
 
     def _signal_group(self, number: int) -> None:
-        with suppress(ProcessLookupError):
+        with suppress(ProcessLookupError, PermissionError):
             os.killpg(self.process.pid, number)
 
     def _kill(self) -> None:
         for pid in self._tree():
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+            _sent(pid, signal.SIGKILL)
 
     def _tree(self) -> list[int]:
         """Its process and all that it has started, as far as it stays in its session or below it."""

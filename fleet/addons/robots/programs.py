@@ -32,6 +32,7 @@ from netem.wire.messages import WorldFault
 BEFORE_NS = 500_000_000  # from the start of the keeper until every program has begun, where {begin_s} is told before
 STOP_S = 3.0  # for the keeper, beside the time that programs have to stop
 _EARLY = "{begin_s}"
+_LOGS = ("keeper", "relay")  # of the run, beside those of programs
 _NEVER = "(?!)"  # a line has no match of it: something else says that the program is ready
 
 
@@ -171,7 +172,7 @@ class Programs:
         return {
             "name": state.name, "node": node, "argv": [filled(word, known) for word in section.run], "env": env,
             "folder": section.folder or ".", "nice": section.nice, "signals": lines,
-            "log": str(self._directory / "log" / f"{state.name.replace('/', '-')}.log"),
+            "log": str(self._log_of(state)),
             "line": _NEVER if ready.token or ready.key else ready.line, "port": ready.port, "after_ns": ready.after,
             "stop": section.stop.signal, "stop_within_ns": section.stop.within,
         }  # fmt: skip
@@ -305,8 +306,13 @@ class Programs:
     def _is_fine(self, state: ProgramState) -> bool:
         return self._wanted(state) == DONE and state.code == 0
 
+    def _log_of(self, state: ProgramState) -> Path:
+        """The file of what it prints. No node has a plus in its name, so each program has a file of its own."""
+        name = f"{state.name}+" if state.name in _LOGS else state.name.replace("/", "+")
+        return self._directory / "log" / f"{name}.log"
+
     def _tail_of(self, state: ProgramState) -> list[str]:
-        where = self._directory / "log" / f"{state.name.replace('/', '-')}.log"
+        where = self._log_of(state)
         return [f"last lines of {where}:", *(f"  {line}" for line in state.tail or ["(nothing printed)"])]
 
     def values(self, node: int) -> tuple[float, ...] | None:

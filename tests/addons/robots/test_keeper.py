@@ -296,6 +296,19 @@ def test_nobody_is_left_whatever_ends_it(how: str, tmp_path: Path) -> None:
         wait_for(lambda: all(map(gone, left)), LIMIT_S, f"the end of {left}")
 
 
+def test_what_belongs_to_somebody_else_does_not_hold_up_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that `sudo` has started cannot be killed by who started it; that ended the keeper."""
+
+    def refuse(pid: int, number: int) -> None:
+        raise PermissionError(pid, number)
+
+    asked = iter([[7, 8], [7, 8]])
+    monkeypatch.setattr(keeper, "descendants", lambda _: next(asked))
+    monkeypatch.setattr(keeper.os, "kill", refuse)
+    keeper.Keeper._end_all(keeper.Keeper.__new__(keeper.Keeper))
+    assert next(asked) == [7, 8]
+
+
 def test_a_program_whose_keeper_is_killed_ends(tmp_path: Path) -> None:
     with keeping(tmp_path, {}) as kept:
         program = kept.started()

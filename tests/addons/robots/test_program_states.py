@@ -204,3 +204,12 @@ def test_a_program_knows_where_it_runs(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "zenoh-m1.json5").read_text())["connect"] == {"endpoints": ["tcp/127.0.0.1:75"]}
     alone = found._values_of(found.states["m1"], {}, 0)
     assert alone["argv"] == ["a", "", "m1"] and "ZENOH_CONFIG_OVERRIDE" not in alone["env"]
+
+
+def test_each_program_has_a_file_of_its_own(tmp_path: Path) -> None:
+    """`m1/nav` and a node `m1-nav` shared one, and a node `relay` had that of a process of ours."""
+    nodes = ("m1", "m1-nav", "relay", "keeper")
+    programs = {name: {"run": "a"} for name in (*nodes, "m1/nav", "relay/nav")}
+    found = Known(tmp_path, nodes={name: {} for name in nodes}, programs=programs)
+    files = {found._log_of(state).name for state in found.states.values()}
+    assert len(files) == len(programs) and not files & {"keeper.log", "relay.log"}

@@ -96,6 +96,7 @@ class RelayProcess:
         self._end: int | None = None  # the tick before which the run ends, as soon as that is known
         self._begin_ns: int | None = None  # when tick 0 begins; None: programs get ready, and it is not known yet
         self._rehearsal: Relay | None = None  # the relay of that time, as long as something of it is under way
+        self._faults: Any = None  # those that the console gave last; None: those of the settings
         self._inlets = {access.number: Inlet(queue.put) for access in setup.robots}
         self._refused: Counter[int] = Counter()  # by robot: messages that found no room on their way here
         self._waiting: dict[Ticket, int] = {}  # oldest first, with the bytes of its query; without us it would end
@@ -183,6 +184,8 @@ class RelayProcess:
         self._rehearsal = self._relay
         self._relay = self._made(self._begin_ns or 0, rehearses=False)
         self._relay.places.update(self._rehearsal.places)
+        if self._faults is not None:
+            self._relay.faults = self._faults
 
     def _begin_modems(self, begin_ns: int) -> None:
         acoustic = self._setup.config.acoustic
@@ -326,7 +329,7 @@ class RelayProcess:
             case "begin":
                 self._begin_ns = request["at_ns"]
             case "faults":
-                self._relay.faults = read_faults(request["faults"])
+                self._faults = self._relay.faults = read_faults(request["faults"])
             case "places":
                 self._relay.places.update({int(i): tuple(place) for i, place in request["places"].items()})
             case "close":

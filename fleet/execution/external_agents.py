@@ -33,6 +33,8 @@ def refuse(scenario: Scenario, what: str, *, stacks: bool = False) -> None:
             raise FleetError(
                 f"{scenario.name} has nodes without programs, and {what} starts them: name some in programs"
             )
+        if not scenario.ends:
+            raise FleetError(f"{scenario.name} runs until it is stopped, and {what} waits for its end: give a duration")
         return
     if scenario.nodes:
         instead = "" if scenario.spec.programs is None else "; fleet sweep --seeds N counts how often a check fails"

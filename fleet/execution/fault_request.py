@@ -7,8 +7,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from fleet.errors import FleetError
-from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.rules.faults import fault_problems
+from fleet.scenario.rules.nodes import unfit
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.sections.node_names import numbered_values
@@ -46,8 +46,8 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
         hint = first.get("ctx", {}).get("hint", "")
         where = ".".join(str(step) for step in first["loc"] if step != "[key]")
         raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
-    if scenario.nodes and section.kind.name not in OF_ROBOTS:
-        raise RefusedError(f"{section.kind.name} concerns vehicles of ours; known: {', '.join(sorted(OF_ROBOTS))}")
+    if scenario.nodes and (wrong := unfit(scenario.spec, section)) is not None:
+        raise RefusedError("; ".join(wrong))
     problem = next(fault_problems(section, scenario.spec, scenario.graph.links), None)
     if problem is not None:
         raise RefusedError(str(problem))

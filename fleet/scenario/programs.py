@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from shlex import quote
 
+from fleet.errors import FleetError, printable
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.trust import Policy
+from world.errors import UntrustedError
 
 
 def admit_programs(spec: ScenarioSpec, policy: Policy) -> None:
@@ -17,8 +19,15 @@ def admit_programs(spec: ScenarioSpec, policy: Policy) -> None:
         policy: says where the text comes from.
 
     Raises:
-        UntrustedError: one may not run.
+        FleetError: one may not run.
     """
+    try:
+        _admit(spec, policy)
+    except UntrustedError as error:
+        raise FleetError(printable(str(error))) from None
+
+
+def _admit(spec: ScenarioSpec, policy: Policy) -> None:
     for key, section in (spec.programs or {}).items():
         policy.admit_program(key, " ".join(map(quote, section.run)), section.folder or "")
     if spec.compose is not None:

@@ -312,9 +312,13 @@ def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
         key: section.model_copy(update={"folder": str(Path(folder or "", section.folder or "").resolve())})
         for key, section in spec.programs.items()
     }
+    nodes = spec.nodes and {
+        name: node.model_copy(update={"zenoh": node.zenoh and str(Path(folder or "", node.zenoh).resolve())})
+        for name, node in spec.nodes.items()
+    }
     compose = spec.compose and str(Path(folder or "", spec.compose).resolve())
     changes = {"vehicle": in_numbers(spec.vehicle), "navigation": inlined_navigation(spec.navigation, folder)}
-    more = {"per_vehicle": per_vehicle, "network": network, "programs": programs, "compose": compose}
+    more = {"per_vehicle": per_vehicle, "network": network, "nodes": nodes, "programs": programs, "compose": compose}
     return spec.model_copy(update=changes | more)
 
 

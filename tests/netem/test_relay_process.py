@@ -20,9 +20,10 @@ from waiting import wait_for
 from netem import relay_process
 from netem.cause import Cause
 from netem.config import NetemConfig
+from netem.faults import NetFault, fault_values
 from netem.limits import RELAY_WAITING, ROBOT_WAITING
 from netem.relay import DATAGRAM, PUT, MessageFate, RobotMessage
-from netem.relay_messages import Port, RelayReport, Setup
+from netem.relay_messages import Port, RelayReport, Setup, Watched, WatchedMessage
 from netem.relay_process import RelayProcess
 from netem.wire import robot_queues
 from netem.wire.robot_queues import Inlet, Outlet
@@ -72,7 +73,10 @@ class Robot:
 class Served:
     """A process that serves on a thread, and what it tells the console."""
 
-    def __init__(self, links: list[tuple[int, int]], ports: tuple[Port, ...] = ()) -> None:
+    def __init__(
+        self, links: list[tuple[int, int]], ports: tuple[Port, ...] = (), *, begins: bool = True, **setup: Any
+    ) -> None:
+        """`begins`: the run begins now, and not when the console says so."""
         numbers = (1, 2, 3)
         config = NetemConfig(
             seed=1, tick_ns=1_000_000, round_ticks=100, vehicles=numbers, links=tuple(links), conditions={}
@@ -80,20 +84,28 @@ class Served:
         meetings = tuple(RobotEndpoint(i, NAMES[i - 1], listen="tcp/none") for i in numbers)
         self.console, theirs = Pipe()
         self.queue: SimpleQueue[Any] = SimpleQueue()
-        self.process = RelayProcess(theirs, Setup(config, meetings, ("**",), ports), self.queue)
+        self.process = RelayProcess(theirs, Setup(config, meetings, ("**",), ports, **setup), self.queue)
         self.robots: Any = self.process._robots
-        self.thread = Thread(target=self.process.serve, args=(monotonic_ns(),), daemon=True)
+        self.thread = Thread(target=self.process.serve, args=(monotonic_ns() if begins else None,), daemon=True)
         self.thread.start()
+
+    def tell(self, **request: Any) -> None:
+        self.console.send_bytes(msgspec.msgpack.encode(request))
 
     def end(self) -> tuple[list[MessageFate], RelayReport]:
         """All fates, and the last report with the notes of all."""
-        self.console.send_bytes(msgspec.msgpack.encode({"op": "close"}))
+        self.tell(op="close")
+        return self.rest()
+
+    def rest(self) -> tuple[list[MessageFate], RelayReport]:
         fates: list[MessageFate] = []
         notes: list[str] = []
+        self.watched: list[WatchedMessage] = []
         while True:
             report = msgspec.msgpack.decode(self.console.recv_bytes(), type=RelayReport)
             fates += report.fates
             notes += report.notes
+            self.watched += report.watched
             if report.closing is not None:
                 report.notes = notes
                 return fates, report
@@ -209,3 +221,30 @@ def test_what_a_job_raises_is_said_once_and_the_robot_is_still_served(monkeypatc
     fates, report = served.end()
     assert [fate.cause for fate in fates] == [Cause.DELIVERED]
     assert report.notes == ["fast: ValueError: no such token"]
+
+
+def test_what_the_console_watches_is_told_whether_the_network_carries_it_or_not() -> None:
+    """With its time, also while programs get ready; the network of that time is forgotten, and has no fates."""
+    port, other = Port(1, 0, 3, "127.0.0.1", 9), Port(2, 0, 3, "127.0.0.1", 9)
+    served = Served([], (port, other), begins=False, watched=(Watched(1, "udp/0"), Watched(3, "udp/0")), ticks=200)
+    before = monotonic_ns()
+    for number, at in enumerate((port, other, port)):
+        served.queue.put(relay_process._Datagram(at, before + number, bytes([number]), ("127.0.0.1", 5)))
+    served.tell(op="begin", at_ns=monotonic_ns() + 50_000_000)
+    fates, report = served.rest()
+    assert [(one.which, one.at_ns - before, one.payload) for one in served.watched] == [(0, 0, b"\0"), (0, 2, b"\2")]
+    assert (fates, report.until) == ([], 200)  # it ends by itself
+
+
+def test_a_fault_that_comes_just_before_the_run_begins_is_kept() -> None:
+    """The network of the time before it forgets all else."""
+    served = Served([(1, 3)], begins=False)
+    begin = monotonic_ns() + 150_000_000
+    served.tell(op="begin", at_ns=begin)
+    served.tell(op="faults", faults=[fault_values(NetFault("f", 0, None, "down", ((1, 3),)))])
+    served.queue.put(put(1, b"before"))
+    wait_for(lambda: monotonic_ns() > begin + 10_000_000 and served.process._begin_ns, LIMIT_S, "the begin")
+    served.queue.put(put(1, b"x"))
+    wait_for(served.queue.empty, LIMIT_S, "what is taken")
+    fates, _ = served.end()
+    assert [fate.cause for fate in fates] == [Cause.DOWN]

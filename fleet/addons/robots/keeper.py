@@ -30,11 +30,22 @@ MARK_NS = 20_000_000  # how often the console is told up to when it knows everyt
 PORT_NS = 50_000_000  # how often a port is tried
 MOST_LINE = 65_536  # bytes; a longer line is cut
 MOST_LOG = 16 * 2**20  # bytes of one program that are kept; so it cannot fill the disk
-MOST_READ = 1 << 16
+MOST_READ = 1 << 16  # a pipe holds no more, so that one reading takes all that was in it
 TAIL = 12
 IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LIBC = ctypes.CDLL(None)
+
+
+def _sent(pid: int, number: int) -> bool:
+    """Whether a process could be sent a signal, or is gone: that of another user, as `sudo` starts one, cannot."""
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return True
+    except PermissionError:
+        return False
+    return True
 
 
 class Keeper:
@@ -59,8 +70,8 @@ class Keeper:
             while not (self.stopping and all(program.process is None for program in self._programs)):
                 now = monotonic_ns()
                 due = min([now + MARK_NS, *(program.act(now) for program in self._programs)])
-                whole = self._look(max(0, due - monotonic_ns()))
-                if whole and now - self._marked_ns >= MARK_NS:
+                self._look(max(0, due - monotonic_ns()))
+                if now - self._marked_ns >= MARK_NS:
                     self._marked_ns = now
                     self.say(until=now)
                 self._reap()
@@ -88,24 +99,21 @@ class Keeper:
         self._selector.unregister(output)
         os.close(output)
 
-    def _look(self, wait_ns: int) -> bool:
-        """Take what there is to read. Returns whether nothing is left."""
+    def _look(self, wait_ns: int) -> None:
+        """Take what there is to read."""
         if self._out:
             with suppress(BlockingIOError):
                 del self._out[: os.write(1, self._out)]
-        whole = True
         for key, _ in self._selector.select(min(wait_ns, 10_000_000 if self._out else wait_ns) / 1e9):
-            whole = key.data() and whole
-        return whole
+            key.data()
 
-    def _hear(self) -> bool:
+    def _hear(self) -> None:
         data = os.read(0, MOST_READ)
         if not data:
             raise EOFError
         *lines, self._commands = (self._commands + data).split(b"\n")
         for line in lines:
             self._obey(json.loads(line))
-        return True
 
     def _obey(self, command: dict[str, Any]) -> None:
         self.begin_ns = command.get("begin", self.begin_ns)
@@ -126,9 +134,8 @@ class Keeper:
     def _end_all(self) -> None:
         """Kill everything that was started here, also what has left the session of its program."""
         while pids := list(descendants([os.getpid()])):
-            for pid in pids:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+            if not any([_sent(pid, signal.SIGKILL) for pid in pids]):
+                return  # they are another user's
             with suppress(ChildProcessError):
                 os.waitpid(-1, 0)
 
@@ -152,6 +159,7 @@ class Program:
         self._log: TextIO | None = None
         self._written = 0
         self._counts = [0] * len(values["signals"])
+        self._told: dict[int, tuple[int, float]] = {}  # by signal: when it was told, and the number
         self._output = -1
         self._patterns = [(number, re.compile(text), counts) for number, text, counts in values["signals"]]
         self._tells = re.compile(values["line"]) if values["line"] is not None else None
@@ -184,8 +192,7 @@ class Program:
         elif self.process is not None and not self._killed and paused != self._paused:
             self._paused = paused
             for pid in self._tree():
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGSTOP if paused else signal.SIGCONT)
+                _sent(pid, signal.SIGSTOP if paused else signal.SIGCONT)
             self._keeper.say(at=now, **{"paused" if paused else "resumed": self.name})
         changes = [at for spans in (self._dead, self._held) for span in spans for at in span if at and at > now]
         return min([*changes, self._look_ready(now)], default=now + 10**9)
@@ -244,25 +251,36 @@ class Program:
         if self._values["nice"]:
             os.nice(self._values["nice"])
 
-    def read(self) -> bool:
-        """Take what it has printed. Returns whether nothing is left."""
+    def read(self) -> None:
+        """Take what it has printed."""
         try:
             data = os.read(self._output, MOST_READ)
         except BlockingIOError:
-            return True
+            return
         if not data:
-            self._keeper.closes(self._output)
-            self._output = -1
-            if self._line:
-                self._hear(self._line)
-            return True
+            self._close()
+            return
         *lines, self._line = (self._line + data).split(b"\n")
         for line in lines:
             self._hear(line)
         if len(self._line) > MOST_LINE:
             self._hear(self._line)
             self._line = b""
-        return len(data) < MOST_READ
+        self._tell()
+
+    def _close(self) -> None:
+        self._keeper.closes(self._output)
+        self._output = -1
+        if self._line:
+            self._hear(self._line)
+            self._line = b""
+        self._tell()
+
+    def _tell(self) -> None:
+        """Tell what the lines that were there at a time said last, or a flood of them would hold up the console."""
+        for number, (at, value) in self._told.items():
+            self._keeper.say(at=at, told=self._node, signal=number, value=value)
+        self._told.clear()
 
     def _hear(self, data: bytes) -> None:
         now, text = monotonic_ns(), data[:MOST_LINE].decode("utf-8", "replace").rstrip("\r")
@@ -276,8 +294,7 @@ class Program:
                 continue
             self._counts[place] += 1
             with suppress(ValueError, TypeError):
-                value = float(self._counts[place]) if counts else float(found["value"])
-                self._keeper.say(at=now, told=self._node, signal=number, value=value)
+                self._told[number] = now, float(self._counts[place]) if counts else float(found["value"])
 
     def _keep(self, now: int, text: str) -> None:
         if self._written > MOST_LOG:
@@ -296,15 +313,13 @@ class Program:
 
     def has_ended(self, code: int) -> None:
         """Its process has ended, and was reaped."""
-        while self._output >= 0 and not self.read():
-            pass
-        if self._output >= 0:  # somebody whom it has started holds the pipe still
-            self._keeper.closes(self._output)
-            self._output = -1
+        if self._output >= 0:
+            self.read()
+        if self._output >= 0:  # there was more to read than its end, or somebody whom it has started holds the pipe
+            self._close()
         now, killed = monotonic_ns(), self._killed
         for pid in self._tree():  # what it leaves behind would speak in its name
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+            _sent(pid, signal.SIGKILL)
         self.process.returncode = code
         self.process = None
         if killed:
@@ -314,13 +329,12 @@ class Program:
         self._keeper.say(at=now, ended=self.name, code=code, tail=list(self._tail))
 
     def _signal_group(self, number: int) -> None:
-        with suppress(ProcessLookupError):
+        with suppress(ProcessLookupError, PermissionError):
             os.killpg(self.process.pid, number)
 
     def _kill(self) -> None:
         for pid in self._tree():
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+            _sent(pid, signal.SIGKILL)
 
     def _tree(self) -> list[int]:
         """Its process and all that it has started, as far as it stays in its session or below it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import msgpack
@@ -22,8 +23,10 @@ def number_at(value: Any, path: list[str | int]) -> float:
     """The number at a path. Raises NoNumber: there is none."""
     for step in path:
         try:
-            value = value[step] if isinstance(step, int) or isinstance(value, dict) else getattr(value, step)
-        except (KeyError, IndexError, TypeError, AttributeError):
+            if isinstance(step, str) and is_dataclass(value):  # a message of ROS 2
+                value = {each.name: getattr(value, each.name) for each in fields(value)}
+            value = value[step]
+        except (KeyError, IndexError, TypeError):
             raise NoNumber(f"there is no {step}") from None
     try:
         return float(value)

@@ -33,6 +33,8 @@ from netem.wire.messages import WorldFault
 BEFORE_NS = 500_000_000  # from the start of the keeper until every program has begun, where {begin_s} is told before
 STOP_S = 3.0  # for the keeper, beside the time that programs have to stop
 _EARLY = "{begin_s}"
+_LOGS = ("keeper", "relay")  # of the run, beside those of programs
+_NEVER = "(?!)"  # a line has no match of it: something else says that the program is ready
 
 
 @dataclass(slots=True)
@@ -86,6 +88,7 @@ class Programs:
         self._meanings: list[tuple[str, int, int, Any]] = []  # of each: what it is about, node, signal, its reader
         self._watch()
         self._keeper: subprocess.Popen[bytes] | None = None
+        self._composed = False
         self._rest = b""
         self._events: list[tuple[int, int, dict[str, Any]]] = []  # by time
         self._count = 0
@@ -130,6 +133,7 @@ class Programs:
         uses = any(_EARLY in text for s in self.states.values() for text in (*s.section.run, *s.section.env.values()))
         self._planned_ns = planned_ns if uses else None
         values = [self._values_of(state, addresses, planned_ns) for state in self.states.values()]
+        self._composed = True  # also one that fails may have begun something
         self._compose("up", "-d", "--wait")
         try:
             self._keeper = subprocess.Popen(
@@ -169,8 +173,8 @@ class Programs:
         return {
             "name": state.name, "node": node, "argv": [filled(word, known) for word in section.run], "env": env,
             "folder": section.folder or ".", "nice": section.nice, "signals": lines,
-            "log": str(self._directory / "log" / f"{state.name.replace('/', '-')}.log"),
-            "line": "" if ready.token or ready.key else ready.line, "port": ready.port, "after_ns": ready.after,
+            "log": str(self._log_of(state)),
+            "line": _NEVER if ready.token or ready.key else ready.line, "port": ready.port, "after_ns": ready.after,
             "stop": section.stop.signal, "stop_within_ns": section.stop.within,
         }  # fmt: skip
 
@@ -303,8 +307,13 @@ class Programs:
     def _is_fine(self, state: ProgramState) -> bool:
         return self._wanted(state) == DONE and state.code == 0
 
+    def _log_of(self, state: ProgramState) -> Path:
+        """The file of what it prints. No node has a plus in its name, so each program has a file of its own."""
+        name = f"{state.name}+" if state.name in _LOGS else state.name.replace("/", "+")
+        return self._directory / "log" / f"{name}.log"
+
     def _tail_of(self, state: ProgramState) -> list[str]:
-        where = self._directory / "log" / f"{state.name.replace('/', '-')}.log"
+        where = self._log_of(state)
         return [f"last lines of {where}:", *(f"  {line}" for line in state.tail or ["(nothing printed)"])]
 
     def values(self, node: int) -> tuple[float, ...] | None:
@@ -349,28 +358,32 @@ class Programs:
 
     def close(self) -> None:
         """Stop the programs, and kill those that do not stop in time. Nothing of them is left."""
-        if self._keeper is None:
-            return
+        if self._keeper is not None:
+            self._stop(self._keeper)
+        self._keeper = None
+        if self._composed:
+            self._composed = False
+            self._compose("down")
+
+    def _stop(self, kept: subprocess.Popen[bytes]) -> None:
         self._over_ns = min(self._over_ns, monotonic_ns())
         self._tell(stop=True)
         within_s = max((state.section.stop.within / 1e9 for state in self.states.values()), default=0.0)
-        assert self._keeper.stdin is not None
+        assert kept.stdin is not None
         deadline = monotonic_ns() + round((within_s + STOP_S) * 1e9)
         with suppress(RunBroken):
-            while self._keeper.poll() is None and monotonic_ns() < deadline:
+            while kept.poll() is None and monotonic_ns() < deadline:
                 self.hear()
                 with suppress(subprocess.TimeoutExpired):
-                    self._keeper.wait(0.02)
+                    kept.wait(0.02)
             self.hear()
-        self._keeper.stdin.close()  # it kills what is left
+        kept.stdin.close()  # it kills what is left
         with suppress(subprocess.TimeoutExpired):
-            self._keeper.wait(STOP_S)
-        self._keeper.kill()
-        self._keeper.wait()
-        if self._keeper.stdout is not None:
-            self._keeper.stdout.close()
-        self._keeper = None
-        self._compose("down")
+            kept.wait(STOP_S)
+        kept.kill()
+        kept.wait()
+        if kept.stdout is not None:
+            kept.stdout.close()
 
     def verdict(self) -> Verdict | None:
         """Whether all programs ran, or did their work; None: there are none."""

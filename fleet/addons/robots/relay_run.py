@@ -421,8 +421,8 @@ class RelayRun:
 
     @property
     def granted(self) -> int:
-        """The tick at which a fault begins that is injected now."""
-        return (monotonic_ns() + LEAD_NS - self._begin_ns) // self._scenario.tick_ns
+        """The tick at which a fault begins that is injected now: the first one, if the run has not begun yet."""
+        return max(0, (monotonic_ns() + LEAD_NS - self._begin_ns) // self._scenario.tick_ns)
 
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         self._tell(op="faults", faults=[fault_values(fault) for fault in faults])

@@ -198,13 +198,18 @@ class _Search:
         """
         if self._times == 1:
             return row.compared(again[0])
-        check = next(iter(self._fails(row)))
-        most, failed, of = voted([row, *again], check)
-        if check not in most.failed_checks:
+        rows, known = [row, *again], self.found.kinds.keys()
+        votes = {check: voted(rows, check)[1:] for check in self._fails(row) if check not in known}
+        sure = {check: vote for check, vote in votes.items() if 2 * vote[0] > vote[1]}
+        if not sure and not known & set(row.failed_checks):
+            check, (failed, of) = next(iter(votes.items()))
             reason = f"seed {row.seed} failed {check} in {failed} of {of} runs, which is too seldom to look into"
-            return structs.replace(most, status=FAILED, reason=reason, passed=None, checks={}, numbers={})
-        self.found.votes[check] = failed, of
-        return most
+            return structs.replace(row, status=FAILED, reason=reason, passed=None, checks={}, numbers={})
+        self.found.votes |= sure
+        most = max(rows, key=lambda one: len(sure.keys() & set(one.failed_checks)))
+        counts = {*sure, *known, *self._unstated}
+        checks = {name: check for name, check in most.checks.items() if check.passed is not False or name in counts}
+        return structs.replace(most, checks=checks)
 
     def _is_new(self, row: Row) -> bool:
         if row.seed in self._sure or (self._keep is None and self.found.kinds):

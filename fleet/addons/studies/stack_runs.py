@@ -55,6 +55,7 @@ class StackRuns:
         """
         self._given, self._at_once, self._tell = at_once, at_once or 1, tell
         self._since = [0, 0]  # runs, and those that were late, since their number at a time changed
+        self._one = False  # whether two runs would need the same port
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
         """Make every run; see `Engine.make`. No process, port or folder of one is left, whatever ends this."""
@@ -63,11 +64,12 @@ class StackRuns:
         more = True
         try:
             while True:
-                while len(under_way) < self._at_once and (again or more):
+                while len(under_way) < (1 if self._one else self._at_once) and (again or more):
                     if again:
                         task, tries = again.popleft()
                     elif (new := next(tasks, None)) is not None:
                         task, tries = new, 1
+                        self._look_at_ports(task)
                     else:
                         more = False
                         continue
@@ -87,6 +89,17 @@ class StackRuns:
         finally:
             for run in under_way:
                 run.end()
+
+    def _look_at_ports(self, task: Task) -> None:
+        """Notice that the file names ports, which one run at a time can have."""
+        if self._one:
+            return
+        with suppress(FleetError):  # the run says it
+            nodes = (scenario_of(task).spec.nodes or {}).items()
+            named = [name for name, node in nodes if node.udp or node.listen or node.connect]
+            self._one = bool(named)
+            if named and self._given != 1:
+                self._tell(f"{', '.join(named)}: the file names their ports, so there is one run at a time")
 
     def _count(self, run: _Run, row: Row) -> None:
         """Choose how many runs go on at a time."""
@@ -161,6 +174,7 @@ class _Run:
             if time.monotonic() - self._begun > self._most_s and result.status is not Status.PASS:
                 return failed_row(task, late(task))
             row = measured_row(result, self._samples(scenario, directory))
+            row.digest = None  # on the wall clock each log is another one
             if not result.passed:
                 row.reason = "; ".join(filter(None, (row.reason, self._kept(directory))))
             return row

@@ -117,7 +117,9 @@ def signal(parts: Parts, report: Report) -> None:
             except SignalCheckError as error:
                 told = [*(spec.signals or ())]
                 known = nearest(check.topic, told) or f"the signals are {', '.join(told) or 'none'}"
-                report.add((*path, error.key), error.problem, error.hint if spec.nodes is None else known)
+                report.add(
+                    (*path, error.key), error.problem, known if spec.nodes and error.key == "topic" else error.hint
+                )
         if check.fault is not None and not report.mistaken("faults", "nemesis"):
             _ends(report, (*path, "fault"), check.fault, *fault_names(parts))
 

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from fleet.scenario.faults.kinds import OF_ROBOTS
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
+from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import CONDITIONS
 from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
 from fleet.scenario.schema.programs import programs_of
@@ -62,14 +63,10 @@ def contents(parts: Parts, report: Report) -> None:
     spec = parts.spec
     if spec.nodes is None:
         return
-    possible = {*OF_ROBOTS, *(_OF_PROGRAMS if spec.programs else ())}
-    drawn = {*possible, *CONDITIONS}
+    drawn = {*_possible(spec), *CONDITIONS}
     for number, fault in enumerate(spec.faults):
-        if (kind := fault.kind.name) not in possible:
-            known = f"known: {', '.join(sorted(possible))}"
-            report.add(("faults", number), f"{kind} {_concerns(kind)}", known)
-        elif kind in _OF_PROGRAMS and (without := _without_program(spec, fault.kind.vehicles(fault.values))):
-            report.add(("faults", number), f"{without} has no program that the run starts", "programs: {NODE: ...}")
+        if (wrong := unfit(spec, fault)) is not None:
+            report.add(("faults", number), *wrong)
     if spec.nemesis is not None:
         for number, pick in enumerate(spec.nemesis.pick or ()):
             if (kind := pick.drawn or pick.kind.name) not in drawn:
@@ -81,6 +78,20 @@ def contents(parts: Parts, report: Report) -> None:
         if ":" not in key and key not in _CHECKS:
             known = f"known: {', '.join(sorted(_CHECKS - {'python'}))}"
             report.add(("checks", key), "judges vehicles of ours", known, key=True)
+
+
+def unfit(spec: ScenarioSpec, fault: FaultSection) -> tuple[str, str] | None:
+    """Why a fault cannot act on these nodes, and what could; None: it can."""
+    kind, possible = fault.kind.name, _possible(spec)
+    if kind not in possible:
+        return f"{kind} {_concerns(kind)}", f"known: {', '.join(sorted(possible))}"
+    if kind in _OF_PROGRAMS and (without := _without_program(spec, fault.kind.vehicles(fault.values))):
+        return f"{without} has no program that the run starts", "programs: {NODE: ...}"
+    return None
+
+
+def _possible(spec: ScenarioSpec) -> set[str]:
+    return {*OF_ROBOTS, *(_OF_PROGRAMS if spec.programs else ())}
 
 
 def _concerns(kind: str) -> str:

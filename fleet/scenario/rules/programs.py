@@ -40,9 +40,15 @@ def programs(parts: Parts, report: Report) -> None:
             report.add((*path, "ready"), f"expected one condition, got {' and '.join(given)}")
         if ready.after is not None and ready.after > ready.within:
             report.add((*path, "ready", "after"), "is longer than within", "within: the longest wait")
+    started = list(programs_of(spec.programs or {}, names))
+    for pattern in spec.checks.programs or {} if started else ():
+        if not any(nodes_of(pattern, [name, node]) for name, node, _ in started):
+            known = [name for name, _, _ in started]
+            hint = nearest(pattern, known) or f"the programs are {', '.join(known)}"
+            report.add(("checks", "programs", pattern), f"there is no program {pattern}", hint, key=True)
     told = [text for section in (spec.programs or {}).values() for text in (*section.run, *section.env.values())]
     early = any("{begin_s}" in text for text in told)
-    for _, node, section in programs_of(spec.programs or {}, names):
+    for _, node, section in started:
         ready = section.ready
         if early and any(kind is not None for kind in (ready.line, ready.token, ready.key, ready.port)):
             hint = "ready: {after: 2 s} for all programs; or leave {begin_s} out"
@@ -61,6 +67,8 @@ def signals(parts: Parts, report: Report) -> None:
         key = section.message
         if key is None or key.startswith("udp/"):
             continue
+        if section.ros is not None:
+            key = key.strip("/")  # of a topic, which ROS names with a slash in front
         from netem.wire.robots import check_key  # here, because it imports zenoh
 
         for number, node in enumerate(nodes, start=1):

@@ -19,6 +19,7 @@ from fleet.scenario.value_types import Section, mistake
 PLACEHOLDERS = ("listen", "zenoh", "node", "number", "seed", "begin_s", "duration_s", "dir", "domain")
 READY_WITHIN_NS, STOP_WITHIN_NS = 20_000_000_000, 5_000_000_000
 _PROGRAM = re.compile(r"[\w.*?-]{1,64}(/[A-Za-z][\w.-]{0,31})?", re.ASCII)
+_SIGNAL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}", re.ASCII)
 _FORMATS = ("json", "msgpack", "cbor", "ros", "struct")
 
 
@@ -31,6 +32,12 @@ def _key(value: Any) -> Any:
     if not isinstance(value, str) or not _PROGRAM.fullmatch(value):
         hint = 'as in m1, "m*", or m1/mission for one of several programs of a robot'
         raise mistake(f"expected a node or a pattern of nodes, got {describe_value(value)}", hint=hint)
+    return value
+
+
+def _signal(value: Any) -> Any:
+    if not isinstance(value, str) or not _SIGNAL.fullmatch(value):
+        raise mistake(f"expected a name of letters, digits and _, got {describe_value(value)}", hint="as in leader")
     return value
 
 
@@ -102,6 +109,7 @@ Pattern = Annotated[str, BeforeValidator(_pattern)]
 Path = Annotated[str, BeforeValidator(_path)]
 Layout = Annotated[str, BeforeValidator(_layout)]
 ProgramKey = Annotated[str, BeforeValidator(_key)]
+SignalKey = Annotated[str, BeforeValidator(_signal)]
 
 
 class ReadySection(Section):

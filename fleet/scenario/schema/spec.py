@@ -43,7 +43,7 @@ from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.schema.network import NetworkSection, read_network, show_network
 from fleet.scenario.schema.nodes import Flag, Node, NodeName
-from fleet.scenario.schema.programs import ProgramKey, ProgramSection, StackSignalSection
+from fleet.scenario.schema.programs import ProgramKey, ProgramSection, SignalKey, StackSignalSection
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from fleet.scenario.value_types import Section, mistake, word_for
 from netem.parsing import nearest
@@ -76,9 +76,6 @@ class LogSection(Section):
     transforms: v.TicksOrNever | None = None  # for all vehicles together; default: about 10 Hz; 0 ticks: never
     scene: v.TicksOrNever | None = None  # hulls, links, places for 3D viewers, about 2 Hz; 0 ticks: never
     snapshot: v.Time | None = None  # has no effect; versions up to 1.0 wrote snapshots into the log
-
-
-SignalKey = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")]
 
 
 def _read_log(value: Any) -> Any:

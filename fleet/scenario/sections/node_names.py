@@ -9,8 +9,8 @@ from typing import Any
 
 from fleet.scenario.schema.nodes import RESERVED
 
-# Keys whose values are no selectors.
-FREE = ("id", "name", "modem", "site", "preset", "trace", "topic", "mode", "aims", "pick")
+# Keys whose values are no selectors. `programs` is that of checks: it names nodes and programs by patterns.
+FREE = ("id", "name", "modem", "site", "preset", "trace", "topic", "mode", "aims", "pick", "programs")
 _NUMBERS = re.compile(r"(isolate:\s*)?[\d\s,/<>*-]+", re.ASCII)
 _SELECTOR = re.compile(r"[\w\s,/<>*:.-]+", re.ASCII)
 

@@ -18,6 +18,7 @@ from fleet.addons.studies.rare import RareEvent, Splitting
 from fleet.addons.studies.record import NAME, read_record
 from fleet.addons.studies.search import SearchResult, search
 from fleet.execution.whole_run import judged, run
+from fleet.scenario.loading import parse_scenario
 
 NEMESIS = "nemesis={every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}"
 CHECKS = (
@@ -120,3 +121,11 @@ def test_a_damaged_file_of_a_study_or_a_search_is_said_in_words(data: bytes, tmp
     ):
         with pytest.raises(StudyError, match=r"is damaged|cannot be read"):
             read()
+
+
+def test_a_failure_of_programs_is_run_by_netem_and_has_no_digest(tmp_path: Path) -> None:
+    text = "title: Two\nnodes: {a: {}, b: {}}\nprograms: {a: {run: 'true'}}\nduration: 1 s\n"
+    found = FoundFailure(file="two-x.yaml", check="x", seed=3, digest="0123456789abcdef", from_seed=3)
+    kept = FailureFolder(tmp_path).add(found, parse_scenario(text, "two.yaml"))
+    assert kept.paste == f"fleet netem {tmp_path / 'two-x.yaml'} --seed 3  # fails x"
+    assert kept.digest == ""

@@ -276,6 +276,7 @@ def test_result_file(tmp_path: Path) -> None:
         "per_process",
         "startup_s",
         "run_s",
+        "cpu_s",
         "cores",
         "machine",
         "x_real_time",

@@ -18,6 +18,7 @@ from fleet.scenario.text.overrides import FAULT, NET, Override
 
 ACOUSTIC = SMALL.replace("{period: 50 ms}", "{period: 2 s, payload: compact, acoustic: {modem: fsk-80}}")
 STATES = "{'*': {states: {good: {condition: delay 50ms, mean: 8 s}, bad: {condition: loss 80%, mean: 2 s}}}}"
+NODES = "title: A stack\nnodes: {m1: {}, m2: {}, shore: {}}\n"
 BASES = {
     "small": SMALL,
     "acoustic": ACOUSTIC.replace("duration: 1 s", "duration: 8 s"),
@@ -25,6 +26,9 @@ BASES = {
     "links": SMALL.replace("50 ms}", "50 ms, links: {'*': delay 2ms}}"),
     "checks": SMALL
     + "faults: [{at: 100 ms, for: 100 ms, id: split, mute: 1}, {at: 300 ms, mute: 2}, {at: 500 ms, kill: 3}]\n",
+    "stack": NODES + 'programs: {"m*": {run: sleep 1}, m1: {run: "member {listen}"}}\nduration: 5 s\n',
+    "stack without programs": NODES,
+    "programs without nodes": SMALL,
     "faults": SMALL + "faults: [{id: cut, at: 100 ms, for: 100 ms, down: 1->2}, {id: off, at: 300 ms, down: 2->3}]\n",
 }
 

@@ -252,3 +252,21 @@ def test_a_queue_that_a_long_delay_fills_is_doubted() -> None:
 def test_the_name_of_a_preset_is_no_node() -> None:
     nodes = {"lte": NODES["a"], "b": NODES["b"]}
     assert scenario(nodes=nodes, network={"links": {"lte->b": {"preset": "lte-good"}}}).conditions[2, 1].rate_bit_s
+
+
+PROGRAMS = {"a": {"run": "true"}, "shore/gcs": {"run": "true"}}
+
+
+def test_checks_name_programs_by_their_nodes() -> None:
+    """Names there are patterns, and no selectors with numbers."""
+    made = scenario(programs=PROGRAMS, checks={"programs": {"a": "done", "shore": "running"}})
+    assert made.spec.checks.programs == {"a": "done", "shore": "running"}
+    assert yaml.safe_load(made.to_yaml())["checks"]["programs"] == {"a": "done", "shore": "running"}
+    scenario(programs=PROGRAMS, checks={"programs": {"shore/gcs": "done", "*": "running"}})
+    assert "there is no program shor" in mistakes(programs=PROGRAMS, checks={"programs": {"shor": "done"}})
+
+
+def test_a_topic_of_ros_may_begin_with_a_slash() -> None:
+    told = {"depth": {"of": "a", "message": "/a/depth", "ros": "data"}}
+    assert scenario(signals=told).spec.signals is not None
+    assert "zenoh takes no such key" in mistakes(signals={"depth": {"of": "a", "message": "/a/depth", "json": ""}})

@@ -1,0 +1,167 @@
+"""Programs of nodes in a stack file: whose they are, what is filled in, where numbers are, and what a record keeps."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet.errors import FleetError
+from fleet.execution.external_agents import refuse
+from fleet.scenario.loading import parse_scenario
+from fleet.scenario.programs import admit_programs
+from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.programs import PLACEHOLDERS, filled, path_of, programs_of, struct_of, wanted
+from fleet.scenario.sections.node_signals import node_layout, told_by
+from fleet.scenario.trust import Policy
+from world.plugins.trust import trusting
+
+NODES = {"m1": {}, "m2": {}, "shore": {}}
+NUMBER = "x=(?P<value>.*)"
+
+
+def stack(folder: Path | None = None, **sections: Any) -> Scenario:
+    text = yaml.safe_dump({"title": "A stack", "nodes": NODES, "duration": "5 s", **sections}, sort_keys=False)
+    return parse_scenario(text, "stack.yaml", folder=folder, policy=Policy(stranger=""))
+
+
+def lines(scenario: Scenario) -> dict[str, str]:
+    """The command line of each program, by its name."""
+    found = programs_of(scenario.spec.programs or {}, scenario.nodes)
+    return {name: " ".join(section.run) for name, _, section in found}
+
+
+def test_a_pattern_means_all_its_nodes_and_a_later_entry_replaces_an_earlier_one() -> None:
+    """Of the same program; a robot may have several programs, each with a name of its own."""
+    programs = {"m*": "first", "*/nav": "nav {number}", "m2": "second 'of two'", "m1/nav": ["own", 7], "shore": "s"}
+    found = lines(stack(programs={key: {"run": run} for key, run in programs.items()}))
+    assert found == {
+        "m1": "first", "m1/nav": "own 7", "m2": "second of two", "m2/nav": "nav {number}",
+        "shore/nav": "nav {number}", "shore": "s",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("check", "expected"),
+    [
+        ("done", {"m1": "done", "m1/nav": "done", "m2": "done"}),
+        ({"m1": "done"}, {"m1": "done", "m1/nav": "done", "m2": "running"}),
+        ({"*": "done", "m2": "running"}, {"m1": "done", "m1/nav": "done", "m2": "running"}),
+        ({"m1": "done", "m*": "running", "m1/nav": "done"}, {"m1": "running", "m1/nav": "done", "m2": "running"}),
+        ({"*/nav": "done"}, {"m1": "running", "m1/nav": "done", "m2": "running"}),
+    ],
+)
+def test_the_last_entry_that_fits_says_what_a_program_has_to_do(check: Any, expected: dict[str, str]) -> None:
+    """Names of nodes stand for programs here, and not for numbers of vehicles."""
+    found = stack(programs={"m*": {"run": "a"}, "m1/nav": {"run": "b"}}, checks={"programs": check})
+    judged = found.spec.checks.programs
+    names = programs_of(found.spec.programs or {}, found.nodes)
+    assert {name: wanted(judged, name, node) for name, node, _ in names} == expected
+    assert parse_scenario(found.to_yaml(), "again.yaml").spec.checks.programs == judged
+
+
+def test_the_record_of_a_run_with_programs_loads_to_an_equal_scenario(tmp_path: Path) -> None:
+    """From any folder: the folders of programs are absolute in it. What a run shows of a file is in its words."""
+    (tmp_path / "sub").mkdir()
+    ready = [{"line": "up [0-9]+$"}, {"token": "a/{node}"}, {"key": "b/**"}, {"port": 80}, {"after": "1 s"}]
+    programs = {f"m1/p{n}": {"run": "a {listen}", "ready": one | {"within": "90 s"}} for n, one in enumerate(ready)} | {
+        "m*": {"run": ["b", "{dir}"], "env": {"N": 5}, "in": "sub", "nice": 3, "stop": {"signal": "INT"}}
+    }
+    signals = {
+        "a": {"of": "m*", "line": NUMBER, "unit": "m"}, "b": {"message": "k/{node}", "json": "[0].x"},
+        "c": {"message": "k", "msgpack": ""}, "d": {"message": "udp/900", "struct": "<Hf[1]"},
+        "e": {"message": "k", "count": "yes"}, "f": {"message": "/odom", "ros": "pose.pose.position.x"},
+        "g": {"message": "k", "cbor": "y"},
+    }  # fmt: skip
+    found = stack(
+        tmp_path, programs=programs, signals=signals, begin="2 s", compose="c.yaml",
+        faults=[{"at": "1 s", "for": "1 s", "kill": "m1"}, {"at": "3 s", "for": "1 s", "pause": "m1,m2"}],
+        checks={"programs": "running", "signal": [{"topic": "a", "above": "0 m"}, {"topic": "e", "below": 3}]},
+    )  # fmt: skip
+    text = found.to_yaml()
+    again = parse_scenario(text, "again.yaml")
+    assert again == found
+    assert again.to_yaml() == text
+    assert (again.spec.programs or {})["m*"].folder == str(tmp_path / "sub")
+    assert (again.spec.programs or {})["m1/p0"].folder == str(tmp_path)
+    assert again.spec.compose == str(tmp_path / "c.yaml")
+    assert 'N: "5"' in text and "kill: m1\n" in text.replace("}", "\n") and "programs: running" in text
+
+
+def test_a_file_of_zenoh_is_found_from_the_record_as_well(tmp_path: Path) -> None:
+    """A run of a study is made from its record, which lies elsewhere."""
+    nodes = NODES | {"m1": {"listen": "tcp/127.0.0.1:7501", "zenoh": "keys/m1.json5"}}
+    found = stack(tmp_path, nodes=nodes)
+    assert (found.spec.nodes or {})["m1"].zenoh == str(tmp_path / "keys" / "m1.json5")
+    assert parse_scenario(found.to_yaml(), "again.yaml") == found
+
+
+@given(st.text("{}nodesumbr1 ", max_size=30), st.dictionaries(st.sampled_from(PLACEHOLDERS), st.integers()))
+def test_only_known_placeholders_are_filled(text: str, values: dict[str, int]) -> None:
+    """Other braces stay as they are, so that JSON may stand in a command line."""
+    expected = text
+    for name in PLACEHOLDERS:
+        expected = expected.replace(f"{{{name}}}", str(values.get(name, f"{{{name}}}")))
+    assert filled(text, values) == expected
+
+
+def test_what_is_filled_in_is_not_filled_in_again() -> None:
+    assert filled('{"a": {node}} {listen} {no}', {"node": "{number}", "number": 3}) == '{"a": {number}} {listen} {no}'
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("", []), ("[0][-2]", [0, -2]), ("pose.x", ["pose", "x"]), ("a[1].b2._c", ["a", 1, "b2", "_c"]), (".a", ["a"])],
+)
+def test_a_path_is_steps(text: str, expected: list[str | int]) -> None:
+    assert path_of(text) == expected
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[0]", "<", "<Hf[2]", "<Hf[-1]", "<z", "x", "4x", "70000s", "<Hf[1] ", "99999999999B"]
+)
+def test_a_layout_without_such_a_number_is_none(text: str) -> None:
+    assert struct_of(text) is None
+
+
+@given(st.lists(st.sampled_from("bBhHiIqQfd"), min_size=1, max_size=6), st.data())
+def test_a_layout_is_that_of_pythons_struct(kinds: list[str], data: st.DataObject) -> None:
+    which = data.draw(st.integers(0, len(kinds) - 1))
+    found = struct_of(f"<{''.join(kinds)}[{which}]")
+    assert found is not None
+    assert (found[0].size, found[1]) == (struct.calcsize(f"<{''.join(kinds)}"), which)
+
+
+def test_a_signal_is_that_of_its_nodes_in_the_order_of_the_file() -> None:
+    signals = {"b": {"line": NUMBER, "of": "m*"}, "a": {"line": "x", "count": "yes", "unit": "1"}}
+    found = stack(programs={"m*": {"run": "a"}}, signals=signals)
+    assert [list(told_by(found.spec, i)) for i in (1, 2, 3)] == [["b", "a"], ["b", "a"], ["a"]]
+    assert [signal.name for signal in node_layout(found.spec, 1).control] == ["b", "a"]
+
+
+def test_programs_of_a_stranger_need_the_users_word() -> None:
+    """The refusal names the command and its folder; a study asks before it makes any run."""
+    scenario = stack(programs={"m1": {"run": "rm 'a b'"}}, compose="c.yaml")
+    admit_programs(scenario.spec, Policy(stranger=""))
+    with pytest.raises(FleetError) as caught:
+        admit_programs(scenario.spec, Policy())
+    assert "m1" in str(caught.value) and "rm 'a b'" in str(caught.value) and "--trust" in str(caught.value)
+    with trusting(True):
+        admit_programs(scenario.spec, Policy())
+
+
+def test_what_makes_runs_of_stacks_needs_their_programs_and_their_end() -> None:
+    """It starts them, and waits for the end of each run."""
+    refuse(stack(programs={"m1": {"run": "a"}}), "a run of a study", stacks=True)
+    with pytest.raises(FleetError, match="name some in programs"):
+        refuse(stack(), "a run of a study", stacks=True)
+    endless = parse_scenario("title: x\nnodes: {a: {}, b: {}}\nprograms: {a: {run: x}}\n", "x.yaml")
+    with pytest.raises(FleetError, match="duration"):
+        refuse(endless, "a run of a study", stacks=True)
+    with pytest.raises(FleetError, match="fleet netem runs it"):
+        refuse(stack(programs={"m1": {"run": "a"}}), "fleet rare")

@@ -134,7 +134,8 @@ class Keeper:
     def _end_all(self) -> None:
         """Kill everything that was started here, also what has left the session of its program."""
         while pids := list(descendants([os.getpid()])):
-            if not any([_sent(pid, signal.SIGKILL) for pid in pids]):
+            sent = [_sent(pid, signal.SIGKILL) for pid in pids]
+            if not any(sent):
                 return  # they are another user's
             with suppress(ChildProcessError):
                 os.waitpid(-1, 0)

@@ -96,7 +96,7 @@ class StackRuns:
             return
         with suppress(FleetError):  # the run says it
             nodes = (scenario_of(task).spec.nodes or {}).items()
-            named = [name for name, node in nodes if node.udp or node.listen or node.connect]
+            named = [name for name, node in nodes if node.udp or node.listen or node.connect or node.modem]
             self._one = bool(named)
             if named and self._given != 1:
                 self._tell(f"{', '.join(named)}: the file names their ports, so there is one run at a time")

@@ -17,7 +17,7 @@ from fleet.addons.robots.relay_run import RelayRun
 from fleet.errors import RunBroken
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
-from netem.relay_process import Watched, WatchedMessage
+from netem.relay_messages import Watched, WatchedMessage
 
 NODES = {"m1": {}, "m2": {}}
 SIGNALS = {

@@ -40,8 +40,8 @@ class PictureChoice:
         "Errors, other signals and ages on a logarithmic axis, or all on a linear one. By default errors are "
         "logarithmic, and a study's measures that span much.", flag="--log-scale/--linear")] = None  # fmt: skip
     window: Annotated[tuple[float, float] | None, WINDOW, Option(
-        "Only this time, e.g. 20s..40s. By default `messages` shows some rounds, and the other pictures the whole "
-        "run.")] = None  # fmt: skip
+        "Only this time, e.g. 20s..40s. By default `messages` and `channel` show some rounds, and the other pictures "
+        "the whole run.")] = None  # fmt: skip
 
 
 PictureFormats = Annotated[tuple[str, ...], Words(FORMATS)]

@@ -53,7 +53,7 @@ class Sea(NamedTuple):
     queue: int  # payloads that wait at most
     access_s: float  # the longest that a free modem waits for its turn to talk
     sound_speed: float  # m/s
-    begin_ns: int  # t = 0, of CLOCK_MONOTONIC
+    begin_ns: int  # when the modems were switched on, of CLOCK_MONOTONIC: t = 0, or before programs get ready
     numbers: tuple[int, ...]  # of all robots: their addresses
     names: tuple[str, ...]
     send: Callable[[ModemRequest], None]

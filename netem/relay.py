@@ -271,7 +271,8 @@ class Relay:
     @property
     def empty(self) -> bool:
         """Whether nothing is under way, and everything that was given out is settled."""
-        return not (self._out.heap or self._leaving or self._came)
+        in_water = self._water is not None and bool(self._water.under_way())
+        return not (self._out.heap or self._leaving or self._came or in_water)
 
     def gave(self, due: DueMessage) -> bool:
         """Whether a message was given out by this relay, and is not settled."""

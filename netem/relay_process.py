@@ -17,7 +17,7 @@ from functools import partial
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
 from threading import Thread
-from time import monotonic_ns, process_time
+from time import monotonic_ns, process_time, sleep
 from typing import Any, NamedTuple
 
 import msgspec
@@ -140,6 +140,7 @@ class RelayProcess:
         self._begin_ns = begin_ns
         now = monotonic_ns()
         self._relay = self._made(now if begin_ns is None else begin_ns, rehearses=begin_ns is None)
+        self._begin_modems(now if begin_ns is None else begin_ns)  # programs that get ready ask them
         self._discovery = Discovery(
             self._robots,
             self._hearers,
@@ -210,7 +211,6 @@ class RelayProcess:
 
     def _serve(self) -> None:
         assert self._begin_ns is not None
-        self._begin_modems(self._begin_ns)
         config, begin_ns = self._setup.config, self._begin_ns
         reported = 0  # rounds
         while self._end is None:
@@ -349,13 +349,13 @@ class RelayProcess:
                 self._relay.late.add(at_ns - due.due_ns)
                 self._has_ended(due, at_ns, delivered=self._sent(due))
             elif due.message.kind == MODEM and (modem := self._modems.get(due.dst)) is not None:
-                self._heard(due, modem)
+                self._heard(due, modem, relay)
             elif not self._offered(due):
                 self._has_ended(due, monotonic_ns(), delivered=False)
 
-    def _heard(self, due: DueMessage, modem: ModemEndpoint) -> None:
+    def _heard(self, due: DueMessage, modem: ModemEndpoint, relay: Relay) -> None:
         """Give a frame to a modem that programs open; it is there then, whether one listens or not."""
-        modem.heard(self._relay.frame_of(due))
+        modem.heard(relay.frame_of(due))
         at_ns = monotonic_ns()
         self._relay.late.add(at_ns - due.due_ns)
         self._has_ended(due, at_ns, delivered=True)
@@ -449,6 +449,9 @@ class RelayProcess:
             "came": self._came.to_values(),
             "cpu_s": process_time(),
         }
+        # Programs notice that their ports are closed, and may end: after the last tick, or that would count as a failure.
+        tick_ns = self._setup.config.tick_ns
+        sleep(min(max(0, (self._begin_ns or 0) + end * tick_ns - monotonic_ns()), tick_ns) / 1e9)
         self._end_with(RelayReport(end, fates, self._said, [], self._notes, self._watched, closing))
 
     def _sum_up(self) -> None:

@@ -355,7 +355,7 @@ class MicroModem:
         self._say("CACST", 6, mode, toa, 0, *[0] * 9, *known, *quality)
 
     def _at(self, run_us: int) -> datetime:
-        """A time of the run by the modem's clock, which begins with the run."""
+        """A time as a date, which begins when the modems are switched on."""
         return BEGIN + timedelta(microseconds=run_us)
 
     def _clock(self) -> str:

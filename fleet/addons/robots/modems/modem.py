@@ -159,11 +159,11 @@ class ModemCore:
 
     @property
     def now_us(self) -> int:
-        """The time of the run [us]."""
+        """The time by its clock [us], which begins when the modems are switched on."""
         return (monotonic_ns() - self.sea.begin_ns) // 1000
 
     def us(self, at_ns: int) -> int:
-        """A time of CLOCK_MONOTONIC [ns] as a time of the run [us]."""
+        """A time of CLOCK_MONOTONIC [ns] as a time by its clock [us]."""
         return (at_ns - self.sea.begin_ns) // 1000
 
     def submit(self, job: Job) -> str:

@@ -44,7 +44,8 @@ class Cell(NamedTuple):
 
 def lessons() -> list[Path]:
     """The pages of the lessons, in their order."""
-    return sorted(path for path in LEARN.glob("*.md") if path.stem != "index")
+    pages = [path for path in LEARN.glob("*.md") if path.stem != "index"]
+    return sorted(pages, key=lambda path: int(path.stem.partition("-")[0]))
 
 
 def cells(page: Path) -> list[Cell]:

@@ -449,7 +449,7 @@ class RelayProcess:
             "came": self._came.to_values(),
             "cpu_s": process_time(),
         }
-        # Programs notice that their ports are closed, and may end: after the last tick, or that would count as a failure.
+        # Programs notice that their ports are closed, and may end. Before the last tick that would count as a failure.
         tick_ns = self._setup.config.tick_ns
         sleep(min(max(0, (self._begin_ns or 0) + end * tick_ns - monotonic_ns()), tick_ns) / 1e9)
         self._end_with(RelayReport(end, fates, self._said, [], self._notes, self._watched, closing))

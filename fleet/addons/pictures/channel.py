@@ -19,6 +19,7 @@ from fleet.addons.pictures.axes import finish, marks_legend, over_time
 from fleet.addons.pictures.exchange import FATES, links_between, name_rows, rank
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
 from fleet.addons.pictures.style import LABEL_PT
+from fleet.logs.open_log import open_log
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
 from netem.cause import Cause
@@ -78,7 +79,7 @@ def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
             airtime = acoustic.modem_of(src).airtime_ns(sent_rows[0][4]) / 1e9
             begin = _begin(src, airtime, sent_rows, flights, acoustic, run.tick_s)
             fates = {dst: fate for dst, _, _, fate, _ in sent_rows if fate not in _AT_START}
-            away = {dst: flights.of(src, dst, begin) for dst in run.log.vehicles if dst != src}
+            away = {dst: flights.of(src, dst, begin) for dst in _modems(run) if dst != src}
             reach = acoustic.modem_of(src).interference_range / acoustic.sound_speed
             heard = [(dst, begin + away[dst], fate) for dst, fate in fates.items()]
             heard += [(dst, begin + s, OVERHEARD) for dst, s in away.items() if dst not in fates and s <= reach]
@@ -122,16 +123,26 @@ def _begin(
     return float((np.rint if fate == Cause.DELIVERED else np.floor)(near / tick_s + 1e-6) * tick_s)
 
 
+def _modems(run: Run) -> list[int]:
+    return sorted({*run.log.vehicles, *(i for link in run.log.links for i in link)})
+
+
 class _Flights:
     """How long sound takes between vehicles."""
 
     def __init__(self, run: Run, acoustic: AcousticConfig) -> None:
         self._speed = acoustic.sound_speed
         self._ways: dict[int, tuple[Array, Array]] = {}
-        for i in run.log.vehicles:
+        # Of nodes the log has poses alone, which other pictures do not need.
+        poses = open_log(run.log.path, "uuv/*/pose") if run.of_nodes else None
+        for i in _modems(run):
+            if poses is not None and (topic := f"uuv/{i}/pose") in poses and len(poses[topic]):
+                self._ways[i] = poses[topic].t, poses[topic]["pose.position"]
+                continue
             each = [run.series(i, "state", name) for name in ("x", "y", "z")]
-            if all(one is not None for one in each):
-                self._ways[i] = each[0][0], np.hstack([one[1] for one in each])  # type: ignore[index]
+            found = [one for one in each if one is not None]
+            if len(found) == len(each):
+                self._ways[i] = found[0][0], np.hstack([values for _, values in found])
 
     def of(self, src: int, dst: int, at: float) -> float:
         """The time [s] for the distance at a moment [s]; 0 if it is not known."""
@@ -164,7 +175,7 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
     shown = [one for one in on_air if one.begin <= last and _last(one) >= first]
     if not shown:
         raise NothingToDraw(f"no modem has transmitted from {first:g} to {last:g} s")
-    every = sorted(view.vehicles or run.log.vehicles)
+    every = sorted(view.vehicles or _modems(run))
     modems = every[:_MOST_MODEMS]
     figure, (ax,) = over_time(1, runs, view, float(np.clip(0.3 * len(modems), 1.0, 6.5)) + 1.2)
     bars = [bar for row, i in enumerate(modems) for bar in _row(row, i, shown)]

@@ -101,3 +101,18 @@ def test_ten_modems_that_talk_at_random_are_an_aloha(tmp_path: Path, slot_s: flo
     expected = (1.0 - each * slot_s) ** 9 if slot_s else exp(-2.0 * 9 * each * AIRTIME_S)
     print(f"of {sent} frames {share:.4f} were heard, expected {expected:.4f}")
     assert share == pytest.approx(expected, rel=0.12)
+
+
+@pytest.mark.slow
+def test_ranges_of_a_vehicle_that_moves_are_those_of_the_way(tmp_path: Path) -> None:
+    """At 2 m/s. The other modem is at the origin, so a range is the place at some time between request and answer."""
+    pytest.importorskip("unetpy")
+    ports = [free_port(), free_port()]
+    nodes = {f"auv{n}": {"modem": {"unet": port}, "place": f"{x} 0 10 m"} for n, (port, x) in
+             enumerate(zip(ports, (300, 0), strict=True), 1)}  # fmt: skip
+    with Stack(tmp_path, nodes=nodes, network=WATER).begun() as stack:
+        found = says("moving_program.py", ports[0])
+        stack.end()
+    for before, measured, after in found:
+        assert before - 0.5 < measured < after + 0.5, found
+    assert found[-1][1] - found[0][1] > 5.0

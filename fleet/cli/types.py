@@ -52,7 +52,7 @@ def _hush(context: click.Context) -> None:
 
 
 Trust = Annotated[
-    bool, Option("Also run laws, plants and checks that are neither installed nor your own."), Effect(_trust)
+    bool, Option("Also run laws, plants, checks and programs that are neither installed nor your own."), Effect(_trust)
 ]
 NoProgress = Annotated[bool, Option("No progress.", flag="-q --quiet"), Effect(_hush)]
 Distribution = Literal["humble", "jazzy", "kilted"]  # releases of ROS 2

@@ -88,18 +88,20 @@ class LocalEngine:
 
 
 @contextmanager
-def local_engine(workers: int | None) -> Iterator[LocalEngine]:
+def local_engine(workers: int | None, tell: Callable[[str], None] = warnings.warn) -> Iterator[LocalEngine]:
     """A pool of workers on this machine, closed on exit. None: one per core, and of runs of programs as many as the
-    machine can take. Raises RunBroken if they cannot be started."""
+    machine can take. `tell`: gets sentences on how these go. Raises RunBroken if they cannot be started."""
     with Workers(workers or processors()) as pool:
-        yield LocalEngine(pool, StackRuns(workers, warnings.warn))
+        yield LocalEngine(pool, StackRuns(workers, tell))
 
 
-def engine_of(workers: int | None = None, scheduler: Any = None) -> AbstractContextManager[Engine]:
+def engine_of(
+    workers: int | None = None, scheduler: Any = None, tell: Callable[[str], None] = warnings.warn
+) -> AbstractContextManager[Engine]:
     """The engine that was asked for. `workers`: of this machine; None: one per core. `scheduler`: of an existing Dask
-    cluster, to be used instead: its address, or a cluster object. Raises RunBroken: there cannot be so many workers
-    here; StudyError: the cluster cannot be used."""
-    return local_engine(workers) if scheduler is None else dask_engine(scheduler)
+    cluster, to be used instead: its address, or a cluster object. `tell`: gets sentences on how the runs go. Raises
+    RunBroken: there cannot be so many workers here; StudyError: the cluster cannot be used."""
+    return local_engine(workers, tell) if scheduler is None else dask_engine(scheduler)
 
 
 def _reason(task: Task, error: BaseException) -> str:

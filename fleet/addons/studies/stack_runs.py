@@ -110,7 +110,7 @@ class StackRuns:
         runs, lates = self._since
         if runs >= ENOUGH and lates > MOST_LATE * runs:
             half = max(1, self._at_once // 2)
-            rest = f"{half} at a time from now on" if half < self._at_once else "and there is only one at a time"
+            rest = f"{half} at a time from now on" if half < self._at_once else "one goes on at a time already"
             self._tell(f"{lates} of {runs} runs were late, because this machine is too busy: {rest}")
             self._at_once, self._since = half, [0, 0]
 

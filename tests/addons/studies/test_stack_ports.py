@@ -9,6 +9,7 @@ import pytest
 from fleet.addons.studies import stack_runs
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import Row
+from fleet.addons.studies.verbs.study_options import WorkerOptions
 from fleet.result.result import Status
 
 MODEMS = "a: {modem: {unet: 1101}, place: 0 0 9 m}, b: {modem: {unet: 1102}, place: 9 0 9 m}"
@@ -50,3 +51,9 @@ def test_ports_of_the_file_are_those_of_one_run_at_a_time(
     assert [line.partition(": ")[2] for line in said] == [
         "the file names their ports, so there is one run at a time"
     ] * (most == 1)
+
+
+def test_the_command_line_tells_it_without_a_line_of_python(capsys: pytest.CaptureFixture[str]) -> None:
+    with WorkerOptions().engine() as engine:
+        engine.stacks._tell("one run at a time")  # type: ignore[union-attr]
+    assert capsys.readouterr().err == "warning: one run at a time\n"

@@ -290,7 +290,7 @@ def test_fewer_go_on_at_a_time_if_more_than_a_fifth_is_late(fake: type[FakeRun])
     made(StackRuns(8, told.append), 12)
     assert told[0] == "3 of 5 runs were late, because this machine is too busy: 4 at a time from now on"
     assert [text.partition(": ")[2].split()[0] for text in told[:3]] == ["4", "2", "1"]
-    assert told[3].endswith(": and there is only one at a time")
+    assert told[3].endswith(": one goes on at a time already")
     told.clear()
     fake.says = lambda seed, tries: LATE if seed % 5 == 0 and tries == 1 else ""  # type: ignore[assignment,misc]
     made(StackRuns(1, told.append), 20)

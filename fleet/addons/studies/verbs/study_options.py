@@ -56,7 +56,7 @@ class WorkerOptions:
         """The workers that were asked for. Raises RunBroken or StudyError: they cannot be had."""
         from fleet.addons.studies.engine import engine_of
 
-        return engine_of(self.workers, self.scheduler)
+        return engine_of(self.workers, self.scheduler, self.warn)
 
     @contextmanager
     def showing(self, pieces: Callable[..., list[Piece]]) -> Iterator[Callable[..., None]]:

@@ -21,7 +21,7 @@ from msgspec import Struct
 from rich.console import Console as Terminal
 
 from benchmarks.figures import show_rows
-from fleet.addons.studies.engine import LocalEngine
+from fleet.addons.studies.engine import local_engine
 from fleet.addons.studies.one_run import Task, make_run, scenario_of
 from fleet.execution.whole_run import judged
 from fleet.processes.workers import Workers
@@ -198,8 +198,7 @@ def _futures(workers: int, task: Callable[[int], Task]) -> Iterator[Make]:
 
 @contextmanager
 def _local(workers: int, task: Callable[[int], Task]) -> Iterator[Make]:
-    with Workers(workers) as pool:
-        engine = LocalEngine(pool)
+    with local_engine(workers) as engine:
         yield lambda runs: engine.make(map(task, range(1, runs + 1)), lambda _: None, lambda: None)
 
 
@@ -216,7 +215,6 @@ def _study(
     pools: list[Workers] | None = None,
 ) -> Iterator[Make]:
     """Whole studies with their rows, by the same workers, which go to `pools`."""
-    from fleet.addons.studies.engine import local_engine
     from fleet.addons.studies.plan import Plan
     from fleet.addons.studies.sweep import prepare, run_study
 

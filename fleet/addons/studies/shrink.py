@@ -61,7 +61,6 @@ class Shrinker:
         """Prepare it. `scenario`: its run fails a check. `on_progress`: called now and then with the present step, in
         words, and the number of runs made."""
         self._name, self._engine, self._tell, self._modules = scenario.name, engine, on_progress, modules
-        self._policy = scenario.reading.policy
         self._rows: dict[str, Row] = {}  # by key of the run
         self._doing, self._left = "the run as it is", 1  # what is tried; runs that may still be made
         self._check = ""
@@ -88,7 +87,7 @@ class Shrinker:
             if json.dumps(self._tree) == before:
                 break
         last = self._run([self._tree])[0]
-        least = parse_scenario(json.dumps(self._tree), self._name, policy=self._policy)
+        least = parse_scenario(json.dumps(self._tree), self._name)
         return Shrunk(least, self._check, (_found(first, self._check), _found(last, self._check)),
                       len(self._rows), steps, last.digest or "")  # fmt: skip
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from fleet.addons.robots.modems.line_port import Client
 from fleet.addons.robots.modems.modem import Job, ModemCore
+from fleet.errors import FleetError
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, SentFrame
 
@@ -53,7 +54,7 @@ def sentence(kind: str, *values: object) -> bytes:
     return f"${text}*{checksum(text)}\r\n".encode()
 
 
-class WrongSentence(ValueError):
+class WrongSentenceError(FleetError):
     """A sentence that cannot be obeyed: the number of the error, and its words."""
 
     def __init__(self, number: int, words: str) -> None:
@@ -122,14 +123,14 @@ class MicroModem:
         kind, *values = [part.strip() for part in body.split(",")]
         try:
             if not text.startswith("$"):
-                raise WrongSentence(1, "NMEA sentence expected")
+                raise WrongSentenceError(1, "NMEA sentence expected")
             if star and given.upper() != checksum(body):
-                raise WrongSentence(2, f"BAD CHECKSUM {given:.8} expected {checksum(body)}")
+                raise WrongSentenceError(2, f"BAD CHECKSUM {given:.8} expected {checksum(body)}")
             handler = _HANDLERS.get(kind)
             if handler is None:
-                raise WrongSentence(3, f"UNKNOWN COMMAND {kind:.8}")
+                raise WrongSentenceError(3, f"UNKNOWN COMMAND {kind:.8}")
             handler(self, values)
-        except WrongSentence as error:
+        except WrongSentenceError as error:
             self._error(error.number, error.words)
         except (ValueError, IndexError):
             self._error(4, f"BAD PARAMETER IN {kind:.8}")
@@ -147,12 +148,12 @@ class MicroModem:
 
     def _submit(self, job: Job) -> None:
         if why := self._modem.submit(job):
-            raise WrongSentence(5, why.upper())
+            raise WrongSentenceError(5, why.upper())
 
     def _address(self, text: str) -> int:
         number = int(text)
         if number not in (BROADCAST, *self._modem.sea.numbers):
-            raise WrongSentence(6, f"NO MODEM {number}")
+            raise WrongSentenceError(6, f"NO MODEM {number}")
         return number
 
     # Commands.
@@ -160,7 +161,7 @@ class MicroModem:
     def _configure(self, values: list[str]) -> None:
         name, number = values[0].upper(), int(values[1])
         if name not in self._config:
-            raise WrongSentence(7, f"UNKNOWN PARAMETER {name:.16}")
+            raise WrongSentenceError(7, f"UNKNOWN PARAMETER {name:.16}")
         if name != "SRC":  # which is the number of its node
             self._config[name] = number
         self._say("CACFG", name, self._config[name])
@@ -175,7 +176,7 @@ class MicroModem:
         elif name.upper() in self._config:
             self._say("CACFG", name.upper(), self._config[name.upper()])
         else:
-            raise WrongSentence(7, f"UNKNOWN PARAMETER {name:.16}")
+            raise WrongSentenceError(7, f"UNKNOWN PARAMETER {name:.16}")
 
     def _level(self, _: list[str]) -> None:
         self._say("CAALQ", 0, 11)
@@ -187,7 +188,7 @@ class MicroModem:
     def _mini(self, values: list[str]) -> None:
         to, data = self._address(values[1]), bytes.fromhex(values[2].zfill(4))
         if len(data) != 2 or int.from_bytes(data) > 0x1FFF:
-            raise WrongSentence(8, "A MINI PACKET HAS 13 BITS")
+            raise WrongSentenceError(8, "A MINI PACKET HAS 13 BITS")
         self._submit(Job(data, _to(to), _MINI, self._begins(2)))
         self._say("CAMUC", self._modem.address, to, data.hex().upper())
 
@@ -201,15 +202,15 @@ class MicroModem:
                 self._say("CAMPR", to, self._modem.address, f"{range_m / self._modem.sea.sound_speed:.4f}")
 
         if why := self._modem.range_to(to, measured):
-            raise WrongSentence(5, why.upper())
+            raise WrongSentenceError(5, why.upper())
         self._say("CAMPC", self._modem.address, to)
 
     def _cycle(self, values: list[str]) -> None:
         _, src, dst, rate, answered, count = map(int, values[:6])
         if src != self._modem.address:
-            raise WrongSentence(9, "ONLY DOWNLINKS ARE ANSWERED")
+            raise WrongSentenceError(9, "ONLY DOWNLINKS ARE ANSWERED")
         if rate not in RATES or not 1 <= count <= RATES[rate].frames:
-            raise WrongSentence(10, f"RATE {rate} HAS NO {count} FRAMES")
+            raise WrongSentenceError(10, f"RATE {rate} HAS NO {count} FRAMES")
         self._packet = _Packet(self._address(str(dst)), rate, bool(answered), count)
         self._say("CACYC", 0, src, dst, rate, answered, count)
         self._ask_for_data()
@@ -233,9 +234,9 @@ class MicroModem:
     def _data(self, values: list[str]) -> None:
         packet, data = self._packet, bytes.fromhex(values[3])
         if packet is None or len(packet.frames) >= packet.asked:
-            raise WrongSentence(11, "NO DATA WERE ASKED FOR")
+            raise WrongSentenceError(11, "NO DATA WERE ASKED FOR")
         if len(data) > min(RATES[packet.rate].size, self._modem.sea.mtu - _HEAD):
-            raise WrongSentence(12, f"{len(data)} BYTES ARE TOO MANY FOR A FRAME")
+            raise WrongSentenceError(12, f"{len(data)} BYTES ARE TOO MANY FOR A FRAME")
         packet.answered |= bool(int(values[2]))
         packet.frames.append(data)
         self._say("CATXD", self._modem.address, packet.to, int(packet.answered), len(data))
@@ -250,11 +251,11 @@ class MicroModem:
         to, rate, answered = self._address(values[0]), int(values[1]), bool(int(values[2]))
         data = bytes.fromhex(values[4])
         if rate not in SECOND_RATES:
-            raise WrongSentence(10, f"RATE {rate} IS NOT THERE; THERE ARE {' '.join(map(str, SECOND_RATES))}")
+            raise WrongSentenceError(10, f"RATE {rate} IS NOT THERE; THERE ARE {' '.join(map(str, SECOND_RATES))}")
         most, size = SECOND_RATES[rate].frames, min(SECOND_RATES[rate].size, self._modem.sea.mtu - _HEAD)
         frames = [data[begin : begin + size] for begin in range(0, len(data), size)] or [b""]
         if len(frames) > most:
-            raise WrongSentence(12, f"{len(data)} BYTES ARE TOO MANY: {most} FRAMES OF {size}")
+            raise WrongSentenceError(12, f"{len(data)} BYTES ARE TOO MANY: {most} FRAMES OF {size}")
         self._count += 1
         self._say("CATDP", 0, self._count, to, rate, int(answered), 0, "", len(data))
         self._leave(_Packet(to, rate, answered, len(frames), frames), _SECOND)

@@ -23,7 +23,7 @@ from msgspec import structs
 
 from fleet.addons.studies.measures import Samples
 from fleet.addons.studies.one_run import Task, failed_row, late, measured_row, scenario_of, whole_row
-from fleet.addons.studies.row import LATE, Row, run_name
+from fleet.addons.studies.row import FAILED, LATE, Row, run_name
 from fleet.errors import FleetError, printable
 from fleet.execution.directory import SCENARIO
 from fleet.logs.open_log import open_log
@@ -55,6 +55,7 @@ class StackRuns:
         """
         self._given, self._at_once, self._tell = at_once, at_once or 1, tell
         self._since = [0, 0]  # runs, and those that were late, since their number at a time changed
+        self._broken = False  # whether a run without a result was told
         self._one = False  # whether two runs would need the same port
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
@@ -103,6 +104,9 @@ class StackRuns:
 
     def _count(self, run: _Run, row: Row) -> None:
         """Choose how many runs go on at a time."""
+        if row.status == FAILED and not self._broken:
+            self._broken = True
+            self._tell(f"seed {row.seed} has no result: {row.reason}")
         self._since[0] += 1
         self._since[1] += row.status == LATE
         if self._given is None and run.cpu_share is not None:
@@ -169,6 +173,8 @@ class _Run:
             wall = result.wall
             if wall.cpu_s:
                 self.cpu_share = wall.cpu_s / (wall.startup_s + wall.run_s)
+            if result.status is Status.BROKEN:  # as with a program that cannot be started: the network is not to blame
+                return failed_row(task, FleetError(": ".join(filter(None, (result.reason, self._tail())))))
             if why := lateness(result):
                 return structs.replace(failed_row(task, FleetError(f"late: {why}")), status=LATE)
             if time.monotonic() - self._begun > self._most_s and result.status is not Status.PASS:
@@ -202,9 +208,16 @@ class _Run:
                 return str(shutil.move(directory, place))
         return ""
 
-    def _last_words(self) -> str:
+    def _lines(self) -> list[str]:
         self._said.seek(0)
-        lines = self._said.read().decode("utf-8", "replace").splitlines()
+        return self._said.read().decode("utf-8", "replace").splitlines()
+
+    def _tail(self) -> str:
+        """The last lines of the program that ended, which are told indented."""
+        return " | ".join([line.strip() for line in self._lines() if line.startswith("  ")][-2:])[:500]
+
+    def _last_words(self) -> str:
+        lines = self._lines()
         code = self._process.returncode
         return f"fleet netem ended with status {code}: {' | '.join(lines[-3:])[:500]}"
 

@@ -220,3 +220,12 @@ def test_nobody_is_left_when_a_study_is_killed(killed: Command) -> None:
     wait_for(lambda: all(map(gone, family.values())), LIMIT_S, "the end of all")
     PrivateFolder().close()  # as the next study makes one
     assert not [folder for folder in folders if folder.exists()]
+
+
+def test_a_program_that_cannot_be_started_is_no_failure_of_the_network(here: Path) -> None:
+    """It read as a border at the least loss. A typo costs no verdict, and is told once with the last words."""
+    write(here, programs={"m*": {"run": "python mermber.py", "ready": {"line": "heard"}}})
+    said = called("sweep", "stack.yaml", "--seeds", "2", "-o", "studies", "--workers", "1")
+    (directory,) = [path for path in (here / "studies").iterdir() if path.is_dir() and not path.is_symlink()]
+    assert open_study(directory).to_pandas()["passed"].isna().all()
+    assert said.count("has no result") == 1 and "mermber.py" in said

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fleet.addons.programs.ros_packages import Definitions
 from fleet.addons.robots.ros2.types import RosTypes, types_of
 
+Definitions = tuple[tuple[str, str], ...]  # names, such as `std_srvs/srv/Trigger`, and texts
 # Packages of ROS that rosbags has no definitions of.
 _EXAMPLES = {
     "std_srvs/srv/Empty": "---\n",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
-Definitions = tuple[tuple[str, str], ...]  # names, such as `std_srvs/srv/Trigger`, and texts
+if TYPE_CHECKING:
+    from fleet.addons.programs.ros_messages import Definitions
 
 
 def interface(name: str, folder: Path) -> ModuleType | None:

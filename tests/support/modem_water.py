@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable
 from time import monotonic_ns
 
@@ -16,6 +17,18 @@ MODEM = Modem(800.0, 0.0, 25e3, 4e3, 190.0, 0.0, 3000.0, 6000.0, 64, 6.0, 10.0, 
 SPEED = 1500.0
 
 
+class ModemClient:
+    """A program that has opened a modem on TCP, as far as bytes go."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
+        self.file = self.socket.makefile("rb")
+
+    def close(self) -> None:
+        self.file.close()
+        self.socket.close()
+
+
 class Water:
     """What a modem gives to the channel, and a hand that lets it happen."""
 
@@ -28,6 +41,14 @@ class Water:
         sea = Sea(MODEM, 64, 2, 0.0, SPEED, self.begin_ns, (1, 2, 3), ("auv1", "auv2", "buoy"), self.given.append,
                   lambda: (10.0, 20.0, 5.0), self.moved.append)  # fmt: skip
         self.core.begin(sea)
+
+    @property
+    def port(self) -> int:
+        """Where programs open the modem."""
+        return self.core.line_port.port
+
+    def close(self) -> None:
+        self.core.close()
 
     def next(self) -> ModemRequest:
         """The next payload that the modem has given."""

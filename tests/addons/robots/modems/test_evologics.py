@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
-from modem_water import LIMIT_S, Water
+from modem_water import ModemClient, Water
 
 from fleet.addons.robots.modems.evologics import EvoLogics
 from netem.cause import Cause
 
 
-class Program:
+class Program(ModemClient):
     """A client, as far as bytes go."""
-
-    def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
-        self.file = self.socket.makefile("rb")
-
-    def close(self) -> None:
-        self.file.close()
-        self.socket.close()
 
     def says(self, data: bytes) -> None:
         self.socket.sendall(data)
@@ -37,14 +28,13 @@ class Program:
 
 @pytest.fixture
 def water() -> Iterator[Water]:
-    found = Water(EvoLogics)
-    yield found
-    found.core.close()
+    with closing(Water(EvoLogics)) as found:
+        yield found
 
 
 @pytest.fixture
 def program(water: Water) -> Iterator[Program]:
-    with closing(Program(water.core.line_port.port)) as found:
+    with closing(Program(water.port)) as found:
         yield found
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import socket
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-from modem_water import LIMIT_S, Water
+from modem_water import ModemClient, Water
 
 from fleet.addons.robots.modems.micromodem import MicroModem, checksum, sentence
 from fleet.addons.robots.modems.modem import RANGING, ModemCore
@@ -19,17 +18,12 @@ from netem.errors import BusError
 MINI, FRAME, ANSWER = 32, 33, 34
 
 
-class Program:
+class Program(ModemClient):
     """A client, sentence by sentence."""
 
     def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
-        self.file = self.socket.makefile("rb")
+        super().__init__(port)
         assert [self.hears()[0] for _ in range(2)] == ["CAREV", "CAREV"]
-
-    def close(self) -> None:
-        self.file.close()
-        self.socket.close()
 
     def says(self, kind: str, *values: object) -> None:
         self.socket.sendall(sentence(kind, *values))
@@ -44,14 +38,13 @@ class Program:
 
 @pytest.fixture
 def water() -> Iterator[Water]:
-    found = Water(MicroModem)
-    yield found
-    found.core.close()
+    with closing(Water(MicroModem)) as found:
+        yield found
 
 
 @pytest.fixture
 def program(water: Water) -> Iterator[Program]:
-    with closing(Program(water.core.line_port.port)) as found:
+    with closing(Program(water.port)) as found:
         yield found
 
 

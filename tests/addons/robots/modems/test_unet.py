@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import base64
 import json
-import socket
 from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
 import pytest
-from modem_water import LIMIT_S, SPEED, Water
+from modem_water import LIMIT_S, SPEED, ModemClient, Water
 from waiting import wait_for
 
 from fleet.addons.robots.modems.line_port import MOST_LINE
@@ -21,16 +20,8 @@ from netem.cause import Cause
 UNET = "org.arl.unet"
 
 
-class Program:
+class Program(ModemClient):
     """A client of fjage, as far as bytes go."""
-
-    def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
-        self.file = self.socket.makefile("rb")
-
-    def close(self) -> None:
-        self.file.close()
-        self.socket.close()
 
     def say(self, **values: Any) -> None:
         self.socket.sendall(json.dumps(values).encode() + b"\n")
@@ -61,14 +52,13 @@ class Program:
 
 @pytest.fixture
 def water() -> Iterator[Water]:
-    found = Water(Unet)
-    yield found
-    found.core.close()
+    with closing(Water(Unet)) as found:
+        yield found
 
 
 @pytest.fixture
 def program(water: Water) -> Iterator[Program]:
-    with closing(Program(water.core.line_port.port)) as found:
+    with closing(Program(water.port)) as found:
         yield found
 
 

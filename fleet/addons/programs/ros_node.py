@@ -64,7 +64,7 @@ class Ros:
         self.waiters.wake()
 
     def publish(self, topic: str, message: RosMessage) -> None:
-        """Send a message, to nodes of this program, too. What steers the vehicle goes to nobody else."""
+        """Send a message, to nodes of this program, too. A command to the vehicle stays in this program."""
         parts = [TOPIC, topic, message.name, to_cdr(message)]
         self.hear(self.number, parts)
         if topic == WRENCH:

@@ -350,7 +350,7 @@ class Local(OfProgram):
 
 
 def _own_values(local: Local) -> dict[str, Any]:
-    """What a `Local` has for the thread whose turn it is."""
+    """The attributes of a `Local` in the thread whose turn it is."""
     values: dict[int, dict[str, Any]] = object.__getattribute__(local, "_values")
     return values.setdefault(type(local)._of_program.get_ident(), {})
 

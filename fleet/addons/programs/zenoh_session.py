@@ -310,7 +310,8 @@ class OneKey(Declared):
     def matching_status(self) -> MatchingStatus:
         """Whether somebody listens: something of this program, or anybody.
 
-        What others have declared is not known, and who hears this agent neither: it is those that it hears.
+        An agent knows the agents that it hears, and takes them for those that hear it. It is not told what they have
+        declared.
         """
         own = any(intersects(each.key_expr, str(self.key_expr)) for each in self._listening)
         return MatchingStatus(own or bool(self._zenoh.hears))

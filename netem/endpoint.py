@@ -60,6 +60,11 @@ class Sea(NamedTuple):
     place: Callable[[], tuple[float, ...]]  # north, east, down [m]
     move: Callable[[tuple[float, ...]], None]
 
+    @property
+    def there_and_back_s(self) -> float:
+        """The longest that sound takes to a modem that hears this one, and back [s]."""
+        return 2 * self.modem.max_range / self.sound_speed
+
 
 class ModemEndpoint(Protocol):
     """A modem that programs of one robot open. The thread of the relay calls it, and must not be held up."""

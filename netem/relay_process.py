@@ -405,8 +405,8 @@ class RelayProcess:
 
     def _has_ended(self, due: DueMessage, at_ns: int, *, delivered: bool) -> None:
         self._untaken[due.dst] += not delivered
-        of_rehearsal = self._rehearsal is not None and self._rehearsal.gave(due)
-        relay = self._rehearsal if of_rehearsal and self._rehearsal is not None else self._relay
+        before = self._rehearsal
+        relay = before if before is not None and before.gave(due) else self._relay
         relay.settle(due, at_ns, delivered=delivered)
 
     def _linked(self, link: robots.Linked) -> None:

@@ -65,7 +65,7 @@ def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
     acoustic = None if run.scenario is None else run.scenario.acoustic
     if acoustic is None:
         raise NothingToDraw("the network is not acoustic")
-    flights = _Flights(run, acoustic)
+    flights, modems = _Flights(run, acoustic), _modems(run)
     parts: dict[tuple[int, ...], list[tuple[int, float, float, str, int]]] = {}
     for src, dst in links:
         alone = bool(acoustic.modem_of(src).tries)
@@ -79,7 +79,7 @@ def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
             airtime = acoustic.modem_of(src).airtime_ns(sent_rows[0][4]) / 1e9
             begin = _begin(src, airtime, sent_rows, flights, acoustic, run.tick_s)
             fates = {dst: fate for dst, _, _, fate, _ in sent_rows if fate not in _AT_START}
-            away = {dst: flights.of(src, dst, begin) for dst in _modems(run) if dst != src}
+            away = {dst: flights.of(src, dst, begin) for dst in modems if dst != src}
             reach = acoustic.modem_of(src).interference_range / acoustic.sound_speed
             heard = [(dst, begin + away[dst], fate) for dst, fate in fates.items()]
             heard += [(dst, begin + s, OVERHEARD) for dst, s in away.items() if dst not in fates and s <= reach]

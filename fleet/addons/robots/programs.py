@@ -182,8 +182,7 @@ class Programs:
         """The programs that are not ready yet. Raises RunBroken: one has ended, or takes too long."""
         waiting = []
         for state in self.states.values():
-            check = wanted(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
-            if state.ended and not (check == DONE and state.code == 0):
+            if state.ended and not self._is_fine(state):
                 raise RunBroken(f"{state.name} {state.ended} before the run began", self._tail_of(state))
             if state.ready or state.ended:
                 continue

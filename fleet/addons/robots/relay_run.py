@@ -19,10 +19,6 @@ import msgpack
 import msgspec
 
 from fleet.addons.robots.message_log import MessageLog, place_of
-from fleet.addons.robots.modems.evologics import EvoLogics
-from fleet.addons.robots.modems.micromodem import MicroModem
-from fleet.addons.robots.modems.modem import ModemCore
-from fleet.addons.robots.modems.unet import Unet
 from fleet.addons.robots.programs import Programs
 from fleet.analysis.robot_addresses import lines
 from fleet.errors import FleetError, RunBroken
@@ -121,6 +117,11 @@ def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
     for i, node in enumerate((scenario.spec.nodes or {}).values(), start=1):
         if (modem := node.modem) is None:
             continue
+        from fleet.addons.robots.modems.evologics import EvoLogics
+        from fleet.addons.robots.modems.micromodem import MicroModem
+        from fleet.addons.robots.modems.modem import ModemCore
+        from fleet.addons.robots.modems.unet import Unet
+
         if modem.unet is not None:
             yield ModemCore(i, Unet, modem.unet, modem.host)
         elif modem.evologics is not None:

@@ -64,8 +64,6 @@ class EvoLogics:
 
     def line(self, client: Client, line: bytes) -> None:
         """See `Translator`."""
-        if not hasattr(self, "_modem"):
-            return
         in_data_mode, before = client.state
         whole = before + b"\n" + line if before else line
         client.state[1] = b""
@@ -156,7 +154,7 @@ class EvoLogics:
             self._modem.after(frame.airtime_ns / 1e9, lambda: self._tell(said))
             if answered:
                 sea = self._modem.sea
-                travel_s = 2 * sea.modem.max_range / sea.sound_speed + 2 * frame.airtime_ns / 1e9
+                travel_s = sea.there_and_back_s + 2 * frame.airtime_ns / 1e9
                 self._modem.after(travel_s + sea.access_s + _WAIT_S, self._fails_later(number))
 
         job = Job(bytes((_WANTS_ANSWER * answered, number)) + data, address, _INSTANT if instant else _BURST, sent,

@@ -107,7 +107,7 @@ class MicroModem:
 
     def opened(self, client: Client) -> None:
         """See `Translator`."""
-        if hasattr(self, "_modem"):
+        if hasattr(self, "_modem"):  # a terminal is opened before that
             self._say_to(client, "CAREV", self._clock(), "INIT", "uuv-fleet")
             self._say_to(client, "CAREV", self._clock(), "AUV", "3.0.0")
 
@@ -117,7 +117,7 @@ class MicroModem:
     def line(self, client: Client, line: bytes) -> None:
         """See `Translator`."""
         text = line[:_MOST_SENTENCE].decode("ascii", "replace").strip()
-        if not text or not hasattr(self, "_modem"):
+        if not text:
             return
         body, star, given = text.lstrip("$").partition("*")
         kind, *values = [part.strip() for part in body.split(",")]

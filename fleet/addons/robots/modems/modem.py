@@ -1,4 +1,4 @@
-"""The core of a modem that programs open: its address, its queue, what it is doing, its statistics, and ranging.
+"""The core of a modem that programs open: its address, its queue, what it is doing, and ranging.
 
 Payloads wait here in order, and one at a time is in the channel. So a full queue can refuse, and be emptied.
 
@@ -16,13 +16,13 @@ range = c ((t3 - t0) - (t2 - t1)) / 2
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from struct import Struct
 from time import monotonic_ns
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from fleet.addons.robots.modems.line_port import LinePort, Translator
 from netem.cause import Cause
@@ -32,7 +32,6 @@ RANGING = 1  # the protocol number of requests and answers of ranging, as UnetSt
 _ANSWER = Struct("<q")  # when the request had come [ns]
 _REQUEST = b"?"
 SLACK_S = 5.0  # beside travel and airtime, until a range counts as missing: others may be on the air
-State = Literal["idle", "transmitting"]
 
 
 class ModemLanguage(Translator, Protocol):
@@ -66,15 +65,6 @@ class _Ranging:
     sent_ns: int = 0
 
 
-@dataclass(slots=True)
-class Statistics:
-    """What a modem has counted."""
-
-    sent: int = 0
-    heard: int = 0
-    spoiled: Counter[Cause] = field(default_factory=Counter)
-
-
 class ModemCore:
     """A modem endpoint in any language. It is handed to the process of the relay before it has begun."""
 
@@ -92,7 +82,6 @@ class ModemCore:
         """
         self.number, self._make, self._where, self._terminal = number, make, (host, port), terminal
         self.address = number
-        self.statistics = Statistics()
         self.sea: Sea = None  # type: ignore[assignment]  # `begin` sets it, before anything asks
         self._waiting: deque[Job] = deque()
         self._now: Job | None = None  # in the channel
@@ -134,12 +123,7 @@ class ModemCore:
 
     def spoiled(self, cause: Cause, at_ns: int) -> None:
         """See `ModemEndpoint`."""
-
-        def tell() -> None:
-            self.statistics.spoiled[cause] += 1
-            self.language.spoiled(cause, at_ns)
-
-        self.line_port.post(tell)
+        self.line_port.post(lambda: self.language.spoiled(cause, at_ns))
 
     def close(self) -> None:
         """See `ModemEndpoint`."""
@@ -148,14 +132,9 @@ class ModemCore:
     # What a language asks, on the thread of the port.
 
     @property
-    def state(self) -> State:
-        """What it is doing."""
-        return "transmitting" if monotonic_ns() < self._busy_until_ns else "idle"
-
-    @property
     def busy(self) -> bool:
         """Whether something waits, or is being transmitted."""
-        return self._now is not None or bool(self._waiting) or self.state == "transmitting"
+        return self._now is not None or bool(self._waiting) or monotonic_ns() < self._busy_until_ns
 
     @property
     def now_us(self) -> int:
@@ -184,7 +163,6 @@ class ModemCore:
 
     def range_to(self, to: int, then: Callable[[float | None], None]) -> str:
         """Measure the range to a modem. Returns why it cannot be tried; empty: `then` gets the range, or None."""
-        travel_s = 2 * self.sea.modem.max_range / self.sea.sound_speed
         air_s = 2 * self.sea.modem.airtime_ns(_ANSWER.size) / 1e9
         ranging = _Ranging(to, then)
 
@@ -200,7 +178,7 @@ class ModemCore:
                 self._ranging.remove(ranging)
                 then(None)
 
-        self.after(travel_s + air_s + 2 * self.sea.access_s + SLACK_S, gives_up)
+        self.after(self.sea.there_and_back_s + air_s + 2 * self.sea.access_s + SLACK_S, gives_up)
         return ""
 
     def after(self, wait_s: float, then: Callable[[], None]) -> None:
@@ -220,7 +198,6 @@ class ModemCore:
         job = self._now
         if job is None or id(job) != frame.tag:
             return
-        self.statistics.sent += 1
         self._now, self._busy_until_ns = None, frame.at_ns + frame.airtime_ns
         job.sent(frame)
         self._go_on()
@@ -234,7 +211,6 @@ class ModemCore:
         self._go_on()
 
     def _hears(self, frame: HeardFrame) -> None:
-        self.statistics.heard += 1
         if frame.what != RANGING:
             self.language.heard(frame)
         elif frame.payload == _REQUEST:

@@ -35,7 +35,6 @@ SERVICES = {
 AGENTS = (NODE, ADDRESSES, PHYSICAL, RANGER, LINK)
 CONTROL, DATA = 1, 2  # types of frames, and the indices of their parameters
 LINK_PROTOCOL = 2  # of frames of the link, as UnetStack has it
-_RESERVED = range(1, 32)  # protocol numbers of UnetStack's own agents
 _MOST_TRIES = 3  # of the link, where the modem itself does not acknowledge
 _ACKNOWLEDGEMENT, _CARRIED = 0, 1  # first byte of a frame of the link
 # fjagepy 2.2 drops an answer that comes before its own thread waits for it, and raises KeyError. A container in Java is
@@ -76,7 +75,7 @@ class Unet:
             said = json.loads(line)
         except (ValueError, RecursionError):
             return
-        if not isinstance(said, dict) or self._modem_is_not_here():
+        if not isinstance(said, dict):
             return
         if "alive" in said and "action" not in said:
             if said["alive"] is False:
@@ -105,9 +104,6 @@ class Unet:
 
     def _answer(self, client: Client, values: Mapping[str, Any]) -> None:
         self._modem.after(ANSWER_S, lambda: self._say(client, values))
-
-    def _modem_is_not_here(self) -> bool:
-        return not hasattr(self, "_modem")
 
     def _say(self, client: Client, values: Mapping[str, Any]) -> None:
         self._modem.line_port.say(client, json.dumps(values).encode() + b"\n")
@@ -342,9 +338,8 @@ class _Linked:
 
     def _left(self, frame: SentFrame) -> None:
         sea = self._node.modem.sea
-        travel_s = 2 * sea.modem.max_range / sea.sound_speed
         air_s = (frame.airtime_ns + sea.modem.airtime_ns(self.HEADER)) / 1e9
-        self._node.modem.after(travel_s + air_s + sea.access_s + _WAIT_S, self._late_of(self._tried))
+        self._node.modem.after(sea.there_and_back_s + air_s + sea.access_s + _WAIT_S, self._late_of(self._tried))
 
     def _late_of(self, tried: int) -> Callable[[], None]:
         return lambda: self._late() if tried == self._tried else None

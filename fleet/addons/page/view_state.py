@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import dist
 from typing import Any
 
+from fleet.addons.page.on_air import OnAir
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.recorder.scene.belief import NewestBeliefs
@@ -61,6 +62,8 @@ class ViewState:
         self._round_s = scenario.round_ticks * scenario.tick_ns / 1e9
         self._stale_s = stale_after(self._round_s)
         self._beliefs = NewestBeliefs(scenario)
+        acoustic = scenario.acoustic
+        self._on_air = None if acoustic is None else OnAir(acoustic, scenario.tick_ns / 1e9)
         self.known_faults: list[Row] = _scripted(scenario)  # over, active and to come
         self._events: dict[str, Row] = {}  # what happened to vehicles, by id
         self._told: list[VehicleEvents] | None = None  # the same as the console counts it; None: it was not asked
@@ -86,6 +89,8 @@ class ViewState:
         self._speeds: dict[int, float] = {}
         self._placed_s = -1.0
         self._beliefs.clear()
+        if self._on_air is not None:
+            self._on_air.clear()
         self._packets: deque[list[Any]] = deque(maxlen=MOST_PACKETS)
         self._samples: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)
         self._fresh: deque[list[Any]] = deque(maxlen=MOST_SAMPLES)  # since the last frame
@@ -139,6 +144,8 @@ class ViewState:
         kind = DAMAGED if message.corrupted else kind_of(message.payload)
         self._kind[kind, lost] += 1
         self._all_kinds[kind, lost] += 1
+        if self._on_air is not None:
+            self._on_air.packet(link, message, self._places)
         if moving:
             late_s = round(message.due - message.sent, 4)
             self._packets.append([self._numbers[link], round(message.sent, 4), late_s, fate])
@@ -275,6 +282,9 @@ class ViewState:
             row["signals"] = {name: list(values) for name, values in self._new.items() if values}
             for values in self._new.values():
                 values.clear()
+        if self._on_air is not None:
+            row["on_air"] = list(self._on_air.fresh)
+            self._on_air.fresh.clear()
         self._packets.clear()
         self._fresh.clear()
         return row
@@ -286,7 +296,8 @@ class ViewState:
     def history(self) -> Row:
         """The samples of the last minute, for a page that has just been opened, or that has jumped."""
         signals = {name: list(values) for name, values in self._signals.items()}
-        return {"samples": list(self._samples), "signals": signals}
+        on_air = [] if self._on_air is None else list(self._on_air.all)
+        return {"samples": list(self._samples), "signals": signals, "on_air": on_air}
 
     def errors(self) -> list[float | None]:
         """The formation error of each vehicle [m], from the newest known places; None: not known yet."""

@@ -7,6 +7,7 @@ airtime, and from the distance. So logs of older versions have this picture, too
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,15 +23,12 @@ from fleet.addons.pictures.style import LABEL_PT
 from fleet.logs.open_log import open_log
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
+from fleet.logs.transmissions import AT_START, UNSENT, begin_of
 from netem.cause import Cause
 from netem.condition import Link
 from netem.modem import AcousticConfig
 
 SENDS, OVERHEARD = "transmits", "overhears"
-# The modem has never sent these; or the log does not say whether it had begun when the run ended.
-UNSENT = frozenset({Cause.MTU, Cause.REPLACED, Cause.DEAD_SENDER, Cause.QUEUE, Cause.MUTE, Cause.IN_FLIGHT})
-# They are decided when a transmission begins: nothing of it is heard.
-_AT_START = frozenset({Cause.PARTITION, Cause.DOWN, Cause.LOSS})
 _COLOURS = {SENDS: "#1F3A5F", OVERHEARD: "#DDDDDD"}
 _ROUNDS = 16  # transmissions that the picture shows unless a window is given
 _LANES = 3  # for receptions of one modem that overlap
@@ -66,19 +64,22 @@ def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
     if acoustic is None:
         raise NothingToDraw("the network is not acoustic")
     flights, modems = _Flights(run, acoustic), _modems(run)
-    parts: dict[tuple[int, ...], list[tuple[int, float, float, str, int]]] = {}
+    parts: dict[tuple[int, ...], list[tuple[int, float, str, int]]] = {}
     for src, dst in links:
         alone = bool(acoustic.modem_of(src).tries)
         for seq, sent, due, delay, fate, size in _rows(run, (src, dst)):
             end = sent + delay if fate == Cause.DELIVERED else due
-            parts.setdefault((src, seq, dst) if alone else (src, seq), []).append((dst, end, due, fate, size))
+            parts.setdefault((src, seq, dst) if alone else (src, seq), []).append((dst, end, fate, size))
     found = []
     for (src, *_), rows in parts.items():
-        sent_rows = [row for row in rows if row[3] not in UNSENT]
+        sent_rows = [row for row in rows if row[2] not in UNSENT]
         if sent_rows:
-            airtime = acoustic.modem_of(src).airtime_ns(sent_rows[0][4]) / 1e9
-            begin = _begin(src, airtime, sent_rows, flights, acoustic, run.tick_s)
-            fates = {dst: fate for dst, _, _, fate, _ in sent_rows if fate not in _AT_START}
+            airtime = acoustic.modem_of(src).airtime_ns(sent_rows[0][3]) / 1e9
+            # The row that is nearest to the truth.
+            dst, end, fate, _ = min(sent_rows, key=lambda row: (row[2] not in AT_START, row[2] != Cause.DELIVERED))
+            way = partial(flights.of, src, dst)
+            begin = begin_of((src, dst), airtime, end, fate, way, acoustic, run.tick_s)
+            fates = {dst: fate for dst, _, fate, _ in sent_rows if fate not in AT_START}
             away = {dst: flights.of(src, dst, begin) for dst in modems if dst != src}
             reach = acoustic.modem_of(src).interference_range / acoustic.sound_speed
             heard = [(dst, begin + away[dst], fate) for dst, fate in fates.items()]
@@ -101,26 +102,6 @@ def _rows(run: Run, link: Link) -> Iterable[tuple[int, float, float, float, str,
     first = packets["copy"] == 0
     columns = [packets[name] for name in ("seq", "sent", "due", "delay", "fate")]
     return zip(*(column[first].tolist() for column in (*columns, sizes)), strict=True)
-
-
-def _begin(
-    src: int,
-    airtime: float,
-    rows: Sequence[tuple[int, float, float, str, int]],
-    flights: _Flights,
-    acoustic: AcousticConfig,
-    tick_s: float,
-) -> float:
-    """When a transmission began: a whole tick. What is cut off has it in the log, what arrived leads to it exactly, and
-    what was lost at a receiver but for a tick.
-    """
-    dst, end, due, fate, _ = min(rows, key=lambda row: (row[3] not in _AT_START, row[3] != Cause.DELIVERED))
-    if fate in _AT_START:
-        return due
-    late = acoustic.modem_of(dst).processing if fate == Cause.DELIVERED else 0.0
-    near = end - late - airtime
-    near -= flights.of(src, dst, near)
-    return float((np.rint if fate == Cause.DELIVERED else np.floor)(near / tick_s + 1e-6) * tick_s)
 
 
 def _modems(run: Run) -> list[int]:

@@ -4,6 +4,7 @@ import { round } from "./geometry.js";
 import { fitted, make, write } from "./dom.js";
 
 const SPAN_S = 60;
+const ON_AIR_S = 20; // a transmission of half a second is a few pixels long
 const EVERY_MS = 200;
 const [LEFT, RIGHT, TOP, BOTTOM] = [40, 8, 6, 18];
 const ONE = "#f5c04a"; // a signal of one vehicle
@@ -92,6 +93,12 @@ class Chart {
       g.stroke();
       g.fillText(value.toFixed(Math.min(6, digits)), LEFT - 5, y(value) + 4);
     }
+    this.drawTimes(from, span, x);
+  }
+
+  drawTimes(from, span, x) {
+    const { g, width, height } = this;
+    g.fillStyle = "#b9cbdd";
     g.textAlign = "center";
     const every = Math.max(span / 3, (60 * span) / (width - LEFT - RIGHT));
     const tick = span === SPAN_S ? 20 : round(every);
@@ -138,6 +145,44 @@ class Chart {
   }
 }
 
+// A row for each modem, with what it transmitted lately: of a log, too, whose whole would be bars of less than a pixel.
+class ChannelChart extends Chart {
+  constructor({ names }) {
+    super("On the air", `last ${ON_AIR_S} s`, () => []);
+    this.names = names;
+    this.transmissions = []; // [sender, begin, airtime]
+  }
+
+  range() {
+    return [0, this.names.length, 1];
+  }
+
+  drawGrid({ from, span, x, y }) {
+    const { g, names, height } = this;
+    this.drawTimes(from, span, x);
+    const tall = (height - TOP - BOTTOM) / names.length;
+    const every = Math.ceil(11 / tall); // rows from one name to the next
+    g.textAlign = "right";
+    names.forEach((name, k) => {
+      if (k % every === 0) g.fillText(name, LEFT - 5, y(names.length - k - 0.5) + 4, LEFT - 6);
+      g.fillStyle = "rgba(140, 180, 215, 0.10)";
+      if (k % 2 === 0) g.fillRect(LEFT, y(names.length - k), x(from + span) - LEFT, tall);
+      g.fillStyle = "#b9cbdd";
+    });
+    g.textAlign = "left";
+    for (const [src, begin, airtime] of this.transmissions) {
+      const left = Math.max(LEFT, x(begin));
+      const right = Math.min(x(from + span), Math.max(x(begin + airtime), x(begin) + 1));
+      g.fillStyle = hull(src);
+      if (right > left) g.fillRect(left, y(names.length - src + 0.9), right - left, 0.8 * tall);
+    }
+  }
+
+  take(transmissions, now) {
+    this.transmissions = [...this.transmissions, ...transmissions].filter(([, begin, airtime]) => begin + airtime > now - ON_AIR_S);
+  }
+}
+
 export const isWhole = (points) =>
   points.some(([, value]) => value != null) && points.every(([, value]) => value == null || Number.isInteger(value));
 
@@ -156,6 +201,7 @@ export class Charts {
     const each = (column) => () =>
       Array.from({ length: setup.vehicles }, (_, k) => [hull(k + 1), this.shown.map((sample) => [sample[0], sample[column][k]])]);
     const options = (more) => ({ ...more, onSeek: this.onSeek });
+    this.channel = setup.acoustic ? new ChannelChart(setup) : null;
     this.list = make("datalist", { id: "fleet-signals" });
     this.picked = [...setup.charted, ""].map((name) => this.chooser(name, options({})));
     this.charts = [
@@ -165,7 +211,8 @@ export class Charts {
       new Chart("Packets lost", "%", () => [["#ffa94d", this.shown.map((sample) => [sample[0], 100 * sample[3] + 1e-9])]], options({ most: 10 })),
       this.picked.at(-1).chart,
     ];
-    el.append(...this.charts.map((chart) => chart.el), this.list);
+    this.all = [...this.charts.slice(0, -1), ...(this.channel ? [this.channel] : []), this.charts.at(-1)];
+    el.append(...this.all.map((chart) => chart.el), this.list);
     this.drawn = 0;
     if (this.onSeek) for (const { head } of this.charts.slice(0, -1)) head.append(make("span", { class: "fleet-chart-unit fleet-reading" }, "reading the log ..."));
   }
@@ -233,6 +280,7 @@ export class Charts {
     this.samples = [...history.samples];
     this.signals = new Map(Object.entries(history.signals ?? {}));
     this.now = this.samples.at(-1)?.[0] ?? 0;
+    if (this.channel) this.channel.transmissions = history.on_air;
     this.drawn = 0;
   }
 
@@ -265,6 +313,7 @@ export class Charts {
       this.signals.set(name, known);
     }
     this.now = frame.t;
+    this.channel?.take(frame.on_air, frame.t);
     const at = performance.now();
     if (at - this.drawn < EVERY_MS) return;
     this.drawn = at;
@@ -273,6 +322,7 @@ export class Charts {
 
   draw() {
     const { now, spans, moments } = this;
+    this.channel?.draw({ from: Math.max(0, now - ON_AIR_S), span: ON_AIR_S, now, cursor: null, spans, moments: [] });
     if (this.onSeek && !this.whole) return; // the curves of a log are not read yet
     const all = this.shown !== this.samples;
     const from = all ? this.begin : Math.max(0, now - SPAN_S);
@@ -292,7 +342,7 @@ export class Charts {
   }
 
   end() {
-    for (const chart of this.charts) chart.sized.disconnect();
+    for (const chart of this.all) chart.sized.disconnect();
   }
 }
 

@@ -55,7 +55,7 @@ from netem.links import Links
 from netem.medium import MediumRound
 from netem.medium_access import Access
 from netem.ranges import Query, make_ranges
-from netem.station import ANSWER, Answer, QueuedPayload, Reception, Station, Transfer
+from netem.station import ANSWER, Answer, Burst, QueuedPayload, Reception, Station, Transfer
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Fate
 
@@ -78,8 +78,8 @@ class AcousticChannel:
         self._access = Access(config, config.acoustic)
         self._air = Air(config.acoustic, config.seed, config.tick_ns)
         self._receptions: list[Reception] = []  # receptions that have not ended
-        # (src, seq, start tick, airtime [ns]) of each transmission that has begun; None: nobody wants to know.
-        self.begun: list[tuple[int, int, int, int]] | None = None
+        # Each transmission that has begun, with the number of its payload; None: nobody wants to know.
+        self.begun: list[tuple[int | None, Burst]] | None = None
         self._asks = config.acoustic.ranging is not None and config.acoustic.ranging.method == "two-way"
         self._ranges = make_ranges(config, self._air, links.receivers)
 
@@ -267,7 +267,7 @@ class AcousticChannel:
             size = modem.acknowledgement if kind == ANSWER or ranging is None else ranging.request
             airtime = modem.airtime_ns(size)
             station.free_tick = max(start + 1, -(-(start * tick_ns + airtime) // tick_ns))
-            self._air.transmit(src, start, airtime)
+            self._put_on_air(src, start, airtime, None)
             range_m = self._air.range_m(src, dst)
             if (src, dst) not in faults.cut and range_m is not None:
                 begin = start * tick_ns + self._acoustic.delay_ns(range_m)
@@ -280,8 +280,6 @@ class AcousticChannel:
     ) -> None:
         tick_ns = self._config.tick_ns
         airtime = self._acoustic.modem_of(src).airtime_ns(len(sent.payload))
-        if self.begun is not None:
-            self.begun.append((src, sent.seq, start, airtime))
         number = sent.seq + (TRY * (transfer.tried - 1) if transfer is not None else 0)
         for dst in self._links.receivers[src] if transfer is None else transfer.to[:1]:
             link = (src, dst)
@@ -310,7 +308,12 @@ class AcousticChannel:
                     self._receptions.append(one)
                 else:  # this vehicle has never had an agent, so its position is unknown
                     self._lose(one, self._end_tick(one), Cause.DEAD_RECEIVER)
-        self._air.transmit(src, start, airtime)
+        self._put_on_air(src, start, airtime, sent.seq)
+
+    def _put_on_air(self, src: int, start: int, airtime_ns: int, seq: int | None) -> None:
+        burst = self._air.transmit(src, start, airtime_ns)
+        if self.begun is not None:
+            self.begun.append((seq, burst))
 
     def _decide_receptions(self, until: int, faults: ActiveFaults) -> None:
         ended = sorted(r for r in self._receptions if self._end_tick(r) <= until)

@@ -31,11 +31,13 @@ class Air:
         a, b = self.places.get(src), self.places.get(dst)
         return None if a is None or b is None else _distance(a, b)
 
-    def transmit(self, src: int, start: int, airtime_ns: int) -> None:
+    def transmit(self, src: int, start: int, airtime_ns: int) -> Burst:
         reach = self._acoustic.modem_of(src).interference_range
         away = ((i, _distance(self.places[src], place)) for i, place in sorted(self.places.items()) if i != src)
         heard = tuple((i, r, self._acoustic.delay_ns(r)) for i, r in away if r <= reach)
-        self.bursts.append(Burst(start, src, airtime_ns, heard))
+        burst = Burst(start, src, airtime_ns, heard)
+        self.bursts.append(burst)
+        return burst
 
     def idle_tick(self, src: int, now: int) -> int:
         """The end of all transmissions that a vehicle hears at tick `now`, as a tick; `now` if it hears none."""

@@ -45,6 +45,13 @@ class HeardFrame(NamedTuple):
     end_ns: int  # when the modem has it
 
 
+class Sound(NamedTuple):
+    """A transmission of another modem, as one hears it, whoever it is for and whether it can be read or not."""
+
+    begin_ns: int  # of CLOCK_MONOTONIC; it may be later than now
+    end_ns: int
+
+
 class Sea(NamedTuple):
     """What an endpoint may ask of the channel, from any thread."""
 
@@ -86,8 +93,15 @@ class ModemEndpoint(Protocol):
     def heard(self, frame: HeardFrame) -> None:
         """A payload has arrived here, whoever it is for."""
 
+    def reached(self, sound: Sound) -> None:
+        """A transmission of another modem is on its way here."""
+
     def spoiled(self, cause: Cause, at_ns: int) -> None:
         """A reception here has failed, and why."""
+
+    @property
+    def remark(self) -> str:
+        """What became of it, for the result of the run; empty: nothing to tell."""
 
     def close(self) -> None:
         """Close its port, and every connection."""

@@ -21,7 +21,7 @@ from netem.cause import Cause
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.correlation import lost_share
-from netem.endpoint import HeardFrame, ModemEndpoint, SentFrame
+from netem.endpoint import HeardFrame, ModemEndpoint, SentFrame, Sound
 from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY
@@ -365,14 +365,19 @@ class Relay:
             self._out.named = {name: part for name, part in named.items() if name in under_way}
 
     def _tell_modems(self, water: AcousticChannel) -> None:
-        """Tell modems what begins to be transmitted, and what is lost before or spoiled at a receiver."""
+        """Tell modems what begins to be transmitted, where it is heard, and what is lost before or spoiled there."""
         tick_ns = self.config.tick_ns
-        for src, seq, start, airtime_ns in water.begun or ():
-            message = self._out.named[src, seq].message
-            at_ns = self._begin_ns + start * tick_ns
+        for seq, burst in water.begun or ():
+            at_ns, airtime_ns = self._begin_ns + burst.start_tick * tick_ns, burst.airtime_ns
+            for i, _, travel_ns in burst.heard:
+                if i in self._modems:
+                    self._modems[i].reached(Sound(at_ns + travel_ns, at_ns + travel_ns + airtime_ns))
+            if seq is None:  # an answer of a modem
+                continue
+            message = self._out.named[burst.src, seq].message
             self._begun[message.number] = at_ns, airtime_ns
-            if src in self._modems and message.kind == MODEM:
-                self._modems[src].sent(SentFrame(message.what.tag, at_ns, airtime_ns))
+            if burst.src in self._modems and message.kind == MODEM:
+                self._modems[burst.src].sent(SentFrame(message.what.tag, at_ns, airtime_ns))
         for fate, message in self._out.spoiled or ():
             at_ns = self._begin_ns + fate.final_tick * tick_ns
             if fate.cause in _UNSENT and fate.src in self._modems:

@@ -467,6 +467,9 @@ class RelayProcess:
         for src, dst in sorted(self._relay.full):
             most = f"more than {LINK_UNDER_WAY.bytes >> 20} MiB were under way"
             self._note(f"{names[src]}->{names[dst]}: {most}; what did not fit was lost (queue)")
+        for i, modem in self._modems.items():
+            if remark := modem.remark:
+                self._note(f"{names[i]}: {remark}")
         matched = set[int]()
         for robot in self._robots.values():
             matched |= robot.matched

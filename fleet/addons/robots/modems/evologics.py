@@ -9,46 +9,32 @@ and answers stand behind `+++`, and everything else is data for the remote addre
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import count
 
+from fleet.addons.robots.modems.delivery import HEADER, Job
 from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.modem import Job, ModemCore
+from fleet.addons.robots.modems.modem import ModemCore
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, HeardFrame, SentFrame
+from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
 
 BROADCAST = 255
 MOST_MESSAGE = 64  # bytes of an instant message
-_INSTANT, _BURST, _ANSWER = 35, 36, 37  # protocol numbers: instant messages, burst data, acknowledgements
-_WANTS_ANSWER = 1
-_HEAD = 2  # bytes before the data: flags, number
-_WAIT_S = 2.0  # beside travel and airtime, until an acknowledgement counts as missing
+_INSTANT, _BURST, _LINK = 35, 36, 37  # protocol numbers: instant messages, burst data, and what is acknowledged
 _LEVELS = range(4)  # 0 is the loudest
 _SEND = re.compile(rb"AT\*SEND(IM)?,(?:p\d+,)?(\d{1,4}),(\d{1,3}),(?:(ack|noack|force),)?", re.ASCII)
 _PLAIN = re.compile(rb"AT([?!]?[A-Z]{1,3}|\*?[A-Z]+)(\d*)", re.ASCII)
 OK, BAD, NOT_HERE = b"OK", b"ERROR WRONG FORMAT", b"ERROR UNKNOWN COMMAND"
 
 
-@dataclass(slots=True)
-class _Waiting:
-    """A message that waits for its acknowledgement."""
-
-    to: int
-    instant: bool
-
-
 class EvoLogics:
     """One modem."""
 
     delimiter = b"\n"
+    link: int | None = _LINK
 
     def __init__(self) -> None:
-        self._numbers = count(1)
-        self._waiting: dict[int, _Waiting] = {}
+        self._waiting = 0  # messages without their acknowledgement
         self._remote = 0  # the address of burst data
         self._level = 0
-        self._travel_us = 0  # of what was heard last
         self._delivered = 0
 
     def begin(self, modem: ModemCore) -> None:
@@ -108,13 +94,13 @@ class EvoLogics:
             case b"!L" if value in _LEVELS:
                 self._level = value or 0  # it is kept, and changes nothing in the water
                 self._answer(client, name, OK)
-            case b"!AL" if value == self._modem.address:
+            case b"!AL" if value == self._modem.number:
                 self._answer(client, name, OK)
             case b"!AR" | b"!L" | b"!AL":
                 self._answer(client, name, b"ERROR OUT OF RANGE")
             case b"?AL" | b"?AR" | b"?L" | b"?T" | b"?AM":
-                known = {b"?AL": self._modem.address, b"?AR": self._remote, b"?L": self._level, b"?T": self._travel_us,
-                         b"?AM": max(self._modem.sea.numbers)}  # fmt: skip
+                known = {b"?AL": self._modem.number, b"?AR": self._remote, b"?L": self._level,
+                         b"?T": self._modem.travel_us, b"?AM": max(self._modem.sea.numbers)}  # fmt: skip
                 self._answer(client, name, str(known[name]).encode())
             case b"?DI":
                 self._answer(client, name, b"PENDING" if self._waiting else b"EMPTY")
@@ -143,65 +129,46 @@ class EvoLogics:
 
     def _submit(self, to: int, data: bytes, *, instant: bool, answered: bool) -> bytes:
         """Send a message. Returns the answer to its command."""
-        address, number = EVERYBODY if to == BROADCAST else to, next(self._numbers) % 256
-        answered &= address != EVERYBODY
-        kind = b"im" if instant else b"burst"
+        address, kind = EVERYBODY if to == BROADCAST else to, b"im" if instant else b"burst"
 
         def sent(frame: SentFrame) -> None:
             self._tell(b"SENDSTART,%d,%b,%d,0" % (to, kind, frame.airtime_ns // 1000))
             end_us = self._modem.us(frame.at_ns + frame.airtime_ns)
             said = b"SENDEND,%d,%b,%d,%d" % (to, kind, end_us, frame.airtime_ns // 1000)
             self._modem.after(frame.airtime_ns / 1e9, lambda: self._tell(said))
-            if answered:
-                sea = self._modem.sea
-                travel_s = sea.there_and_back_s + 2 * frame.airtime_ns / 1e9
-                self._modem.after(travel_s + sea.access_s + _WAIT_S, self._fails_later(number))
 
-        job = Job(bytes((_WANTS_ANSWER * answered, number)) + data, address, _INSTANT if instant else _BURST, sent,
-                  self._dropped(number))  # fmt: skip
-        if self._modem.submit(job):
-            return b"BUSY DELIVERING" if self._modem.busy else b"ERROR OUT OF RANGE"
-        if answered:
-            self._waiting[number] = _Waiting(to, instant)
+        def ends(delivered: bool) -> None:
+            self._waiting -= 1
+            word = b"DELIVERED" if delivered else b"FAILED"
+            if instant:
+                self._tell(b"%bIM,%d" % (word, to))
+            else:
+                self._delivered += delivered
+                self._tell(b"%b,%d,%d" % (word, self._delivered, to))
+
+        job = Job(data, address, _INSTANT if instant else _BURST, sent)
+        answered &= address != EVERYBODY
+        if self._modem.deliver(job, 1, ends) if answered else self._modem.submit(job):
+            return b"BUSY DELIVERING" if self._modem.waits else b"ERROR OUT OF RANGE"
+        self._waiting += answered
         return OK
 
-    def _fails_later(self, number: int) -> Callable[[], None]:
-        return lambda: self._ends(number, delivered=False)
+    def begins(self, sound: Sound) -> None:
+        """See `ModemLanguage`."""
+        self._tell(b"RECVSTART")
 
-    def _dropped(self, number: int) -> Callable[[Cause], None]:
-        return lambda _: self._ends(number, delivered=False)
-
-    def _ends(self, number: int, *, delivered: bool) -> None:
-        waiting = self._waiting.pop(number, None)
-        if waiting is None:
-            return
-        word = b"DELIVERED" if delivered else b"FAILED"
-        if waiting.instant:
-            self._tell(b"%bIM,%d" % (word, waiting.to))
-        else:
-            self._delivered += delivered
-            self._tell(b"%b,%d,%d" % (word, self._delivered, waiting.to))
-
-    def heard(self, frame: HeardFrame) -> None:
+    def heard(self, frame: HeardFrame, *, answered: bool) -> None:
         """See `ModemLanguage`. Levels are not known to the channel: the signal strength is 0."""
-        self._travel_us = (frame.begin_ns - frame.sent_ns) // 1000
-        if frame.what == _ANSWER and len(frame.payload) == 1:
-            self._ends(frame.payload[0], delivered=True)
-            return
-        if frame.what not in (_INSTANT, _BURST) or len(frame.payload) < _HEAD:
-            return
-        flags, number = frame.payload[:_HEAD]
-        data, to = frame.payload[_HEAD:], BROADCAST if frame.to is None else frame.to
-        if flags & _WANTS_ANSWER:
-            self._modem.submit(Job(bytes((number,)), frame.src, _ANSWER))
-        duration_us = self._modem.sea.modem.airtime_ns(len(frame.payload)) // 1000
+        data, to = frame.payload, BROADCAST if frame.to is None else frame.to
+        duration_us = self._modem.sea.modem.airtime_ns(len(data) + HEADER * answered) // 1000
+        self._tell(b"RECVEND,%d,%d,0,100" % (self._modem.us(frame.end_ns), duration_us))
         if frame.what == _INSTANT:
-            flag = b"ack" if flags & _WANTS_ANSWER else b"noack"
-            head = b"RECVIM,%d,%d,%d,%b,%d,0,100,0.0000," % (len(data), frame.src, to, flag, duration_us)
-        else:
-            rate = round(8e6 * len(frame.payload) / duration_us)
-            head = b"RECV,%d,%d,%d,%d,0,100,%d,0.0000," % (len(data), frame.src, to, rate, self._travel_us)
-        self._tell(head + data)
+            flag = b"ack" if answered else b"noack"
+            self._tell(b"RECVIM,%d,%d,%d,%b,%d,0,100,0.0000,%b" % (len(data), frame.src, to, flag, duration_us, data))
+        elif frame.what == _BURST:
+            rate = round(8e6 * len(data) / max(1, duration_us))
+            head = b"RECV,%d,%d,%d,%d,0,100,%d,0.0000," % (len(data), frame.src, to, rate, self._modem.travel_us)
+            self._tell(head + data)
 
     def spoiled(self, cause: Cause, at_ns: int) -> None:
         """See `ModemLanguage`."""

@@ -14,11 +14,12 @@ from datetime import datetime, timedelta
 from functools import reduce
 from typing import NamedTuple
 
+from fleet.addons.robots.modems.delivery import Job
 from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.modem import Job, ModemCore
+from fleet.addons.robots.modems.modem import ModemCore
 from fleet.errors import FleetError
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, HeardFrame, SentFrame
+from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
 
 BROADCAST = 127
 BEGIN = datetime(2026, 1, 1)  # of the modem's clock, as of that of programs in lockstep
@@ -89,6 +90,7 @@ class MicroModem:
     """One modem."""
 
     delimiter = b"\n"
+    link: int | None = None  # it acknowledges packets of several frames in its own way
 
     def __init__(self) -> None:
         self._config = dict.fromkeys(NAMES, 0) | {"CST": 1, "REV": 1}
@@ -99,7 +101,7 @@ class MicroModem:
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
         self._modem = modem
-        self._config["SRC"] = modem.address
+        self._config["SRC"] = modem.number
         for client in modem.line_port.clients:
             self.opened(client)
 
@@ -190,7 +192,7 @@ class MicroModem:
         if len(data) != 2 or int.from_bytes(data) > 0x1FFF:
             raise WrongSentenceError(8, "A MINI PACKET HAS 13 BITS")
         self._submit(Job(data, _to(to), _MINI, self._begins(2)))
-        self._say("CAMUC", self._modem.address, to, data.hex().upper())
+        self._say("CAMUC", self._modem.number, to, data.hex().upper())
 
     def _ping(self, values: list[str]) -> None:
         to = self._address(values[1])
@@ -199,15 +201,15 @@ class MicroModem:
             if range_m is None:
                 self._say("CAMSG", "PACKET_TIMEOUT", 0)
             else:
-                self._say("CAMPR", to, self._modem.address, f"{range_m / self._modem.sea.sound_speed:.4f}")
+                self._say("CAMPR", to, self._modem.number, f"{range_m / self._modem.sea.sound_speed:.4f}")
 
         if why := self._modem.range_to(to, measured):
             raise WrongSentenceError(5, why.upper())
-        self._say("CAMPC", self._modem.address, to)
+        self._say("CAMPC", self._modem.number, to)
 
     def _cycle(self, values: list[str]) -> None:
         _, src, dst, rate, answered, count = map(int, values[:6])
-        if src != self._modem.address:
+        if src != self._modem.number:
             raise WrongSentenceError(9, "ONLY DOWNLINKS ARE ANSWERED")
         if rate not in RATES or not 1 <= count <= RATES[rate].frames:
             raise WrongSentenceError(10, f"RATE {rate} HAS NO {count} FRAMES")
@@ -222,7 +224,7 @@ class MicroModem:
         packet.asked += 1
         number = packet.asked
         size = min(RATES[packet.rate].size, self._modem.sea.mtu - _HEAD)
-        self._say("CADRQ", self._clock(), self._modem.address, packet.to, int(packet.answered), size, number)
+        self._say("CADRQ", self._clock(), self._modem.number, packet.to, int(packet.answered), size, number)
 
         def late() -> None:
             if self._packet is packet and len(packet.frames) < number:
@@ -239,7 +241,7 @@ class MicroModem:
             raise WrongSentenceError(12, f"{len(data)} BYTES ARE TOO MANY FOR A FRAME")
         packet.answered |= bool(int(values[2]))
         packet.frames.append(data)
-        self._say("CATXD", self._modem.address, packet.to, int(packet.answered), len(data))
+        self._say("CATXD", self._modem.number, packet.to, int(packet.answered), len(data))
         if len(packet.frames) < packet.count:
             self._ask_for_data()
         else:
@@ -287,7 +289,10 @@ class MicroModem:
 
     # What the water says.
 
-    def heard(self, frame: HeardFrame) -> None:
+    def begins(self, sound: Sound) -> None:
+        """See `ModemLanguage`. Its language has no word for it."""
+
+    def heard(self, frame: HeardFrame, *, answered: bool) -> None:
         """See `ModemLanguage`."""
         to = BROADCAST if frame.to is None else frame.to
         if frame.what == _MINI:
@@ -295,7 +300,7 @@ class MicroModem:
         elif frame.what == _ANSWER and len(frame.payload) == 1:
             for number in range(1, 9):
                 if frame.payload[0] & 1 << (number - 1):
-                    self._say("CAACK", frame.src, self._modem.address, number, 1)
+                    self._say("CAACK", frame.src, self._modem.number, number, 1)
         elif frame.what == _FRAME and len(frame.payload) >= _HEAD:
             self._hears_frame(frame, to)
 
@@ -335,14 +340,14 @@ class MicroModem:
             )
             self._say("CARDP", src, to, coming.rate, coming.flags & _WANTS_ANSWER, 0, told)
         self._statistics(0, coming.rate, src, to, coming.count, coming.count - len(coming.frames), at_ns)
-        if coming.flags & _WANTS_ANSWER and to == self._modem.address:
+        if coming.flags & _WANTS_ANSWER and to == self._modem.number:
             bits = sum(1 << (number - 1) for number in coming.frames)
             self._modem.submit(Job(bytes((bits & 255,)), src, _ANSWER))
 
     def spoiled(self, cause: Cause, at_ns: int) -> None:
         """See `ModemLanguage`."""
         self._say("CAMSG", "BAD_CRC", 1)
-        self._statistics(1, 0, 0, self._modem.address, 1, 1, at_ns)
+        self._statistics(1, 0, 0, self._modem.number, 1, 1, at_ns)
 
     def _statistics(self, mode: int, rate: int, src: int, dst: int, frames: int, bad: int, at_ns: int) -> None:
         """CACST of version 6: fields that the channel does not know are 0, and the noise -100."""

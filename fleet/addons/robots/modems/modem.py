@@ -22,11 +22,12 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from struct import Struct
 from time import monotonic_ns
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
+from fleet.addons.robots.modems.delivery import Deliveries, Job
 from fleet.addons.robots.modems.line_port import LinePort, Translator
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, HeardFrame, ModemRequest, Sea, SentFrame
+from netem.endpoint import EVERYBODY, HeardFrame, ModemRequest, Sea, SentFrame, Sound
 
 RANGING = 1  # the protocol number of requests and answers of ranging, as UnetStack has it
 _ANSWER = Struct("<q")  # when the request had come [ns]
@@ -37,25 +38,19 @@ SLACK_S = 5.0  # beside travel and airtime, until a range counts as missing: oth
 class ModemLanguage(Translator, Protocol):
     """A translator, and what the modem tells it."""
 
+    link: int | None  # the protocol number of frames that are acknowledged; None: the language has none
+
     def begin(self, modem: ModemCore) -> None:
         """The channel carries from now on."""
 
-    def heard(self, frame: HeardFrame) -> None:
-        """A payload has arrived for this modem, or for all."""
+    def heard(self, frame: HeardFrame, *, answered: bool) -> None:
+        """A payload has arrived for this modem, or for all. `answered`: it came by the link, and was acknowledged."""
+
+    def begins(self, sound: Sound) -> None:
+        """A transmission of another modem begins to be heard."""
 
     def spoiled(self, cause: Cause, at_ns: int) -> None:
         """A reception has failed."""
-
-
-@dataclass(slots=True)
-class Job:
-    """A payload that waits, or is in the channel."""
-
-    payload: bytes
-    to: int  # an address; EVERYBODY: all
-    what: int
-    sent: Callable[[SentFrame], None] = lambda _: None
-    dropped: Callable[[Cause], None] = lambda _: None
 
 
 @dataclass(slots=True)
@@ -81,11 +76,12 @@ class ModemCore:
             terminal: the path of a pseudo terminal, in place of a port; empty: there is none.
         """
         self.number, self._make, self._where, self._terminal = number, make, (host, port), terminal
-        self.address = number
         self.sea: Sea = None  # type: ignore[assignment]  # `begin` sets it, before anything asks
         self._waiting: deque[Job] = deque()
         self._now: Job | None = None  # in the channel
-        self._busy_until_ns = 0
+        self._sends_until_ns = self._hears_until_ns = self._refused = 0
+        self._deliveries: Deliveries | None = None
+        self.travel_us = 0  # of sound from the modem that was heard last
         self._ranging: list[_Ranging] = []
         self._alarms: list[tuple[int, int, Callable[[], None]]] = []  # a heap
         self._set = 0
@@ -106,6 +102,8 @@ class ModemCore:
     def begin(self, sea: Sea) -> None:
         """See `ModemEndpoint`."""
         self.sea = sea
+        if self.language.link is not None:
+            self._deliveries = Deliveries(self.language.link, sea, self.submit, self.after)
         self.language.begin(self)
         self.line_port.begin()
 
@@ -125,6 +123,17 @@ class ModemCore:
         """See `ModemEndpoint`."""
         self.line_port.post(lambda: self.language.spoiled(cause, at_ns))
 
+    def reached(self, sound: Sound) -> None:
+        """See `ModemEndpoint`."""
+        wait_s = (sound.begin_ns - monotonic_ns()) / 1e9
+        self.line_port.post(lambda: self.after(wait_s, lambda: self._hears_begin(sound)))
+
+    @property
+    def remark(self) -> str:
+        """See `ModemEndpoint`."""
+        some = f"{self._refused} payload{'s' if self._refused > 1 else ''}"
+        return f"its modem refused {some}, since {self.sea.queue} were waiting" if self._refused else ""
+
     def close(self) -> None:
         """See `ModemEndpoint`."""
         self.line_port.close()
@@ -132,9 +141,17 @@ class ModemCore:
     # What a language asks, on the thread of the port.
 
     @property
-    def busy(self) -> bool:
-        """Whether something waits, or is being transmitted."""
-        return self._now is not None or bool(self._waiting) or monotonic_ns() < self._busy_until_ns
+    def state(self) -> Literal["idle", "transmitting", "receiving"]:
+        """What it is doing. What it hears may be for others, or be spoiled."""
+        now = monotonic_ns()
+        if now < self._sends_until_ns:
+            return "transmitting"
+        return "receiving" if now < self._hears_until_ns else "idle"
+
+    @property
+    def waits(self) -> bool:
+        """Whether something waits for its transmission."""
+        return self._now is not None or bool(self._waiting)
 
     @property
     def now_us(self) -> int:
@@ -152,10 +169,17 @@ class ModemCore:
         if job.to != EVERYBODY and job.to not in self.sea.numbers:
             return f"there is no node with the address {job.to}"
         if len(self._waiting) >= self.sea.queue:
+            self._refused += 1
             return "the queue is full"
         self._waiting.append(job)
         self._go_on()
         return ""
+
+    def deliver(self, job: Job, tries: int, then: Callable[[bool], None]) -> str:
+        """Send a payload until it is acknowledged. Returns why that cannot be; empty: `then` learns whether it was
+        delivered. The language has a link."""
+        assert self._deliveries is not None
+        return self._deliveries.send(job, tries, then)
 
     def clear(self) -> None:
         """Forget what waits; what is in the channel goes on."""
@@ -198,7 +222,7 @@ class ModemCore:
         job = self._now
         if job is None or id(job) != frame.tag:
             return
-        self._now, self._busy_until_ns = None, frame.at_ns + frame.airtime_ns
+        self._now, self._sends_until_ns = None, frame.at_ns + frame.airtime_ns
         job.sent(frame)
         self._go_on()
 
@@ -210,9 +234,18 @@ class ModemCore:
         job.dropped(cause)
         self._go_on()
 
+    def _hears_begin(self, sound: Sound) -> None:
+        self._hears_until_ns = max(self._hears_until_ns, sound.end_ns)
+        if sound.begin_ns >= self._sends_until_ns:  # else it is deaf
+            self.language.begins(sound)
+
     def _hears(self, frame: HeardFrame) -> None:
-        if frame.what != RANGING:
-            self.language.heard(frame)
+        self.travel_us = (frame.begin_ns - frame.sent_ns) // 1000
+        if self._deliveries is not None and frame.what == self.language.link:
+            if (carried := self._deliveries.heard(frame)) is not None:
+                self.language.heard(carried, answered=True)
+        elif frame.what != RANGING:
+            self.language.heard(frame, answered=False)
         elif frame.payload == _REQUEST:
             self.submit(Job(_ANSWER.pack(frame.begin_ns), frame.src, RANGING))
         elif len(frame.payload) == _ANSWER.size:

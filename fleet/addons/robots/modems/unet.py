@@ -13,10 +13,11 @@ from contextlib import suppress
 from itertools import count
 from typing import Any
 
+from fleet.addons.robots.modems.delivery import HEADER, Job
 from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.modem import Job, ModemCore
+from fleet.addons.robots.modems.modem import ModemCore
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, HeardFrame, SentFrame
+from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
 
 _UNET = "org.arl.unet"
 _SERVICE = f"{_UNET}.Services."
@@ -34,26 +35,22 @@ SERVICES = {
 }
 AGENTS = (NODE, ADDRESSES, PHYSICAL, RANGER, LINK)
 CONTROL, DATA = 1, 2  # types of frames, and the indices of their parameters
-LINK_PROTOCOL = 2  # of frames of the link, as UnetStack has it
 _MOST_TRIES = 3  # of the link, where the modem itself does not acknowledge
-_ACKNOWLEDGEMENT, _CARRIED = 0, 1  # first byte of a frame of the link
 # fjagepy 2.2 drops an answer that comes before its own thread waits for it, and raises KeyError. A container in Java is
 # slower than that, and so are we.
 ANSWER_S = 0.005
-_WAIT_S = 2.0  # beside travel and airtime, until an acknowledgement counts as missing
 
 
 class Unet:
     """The node of one modem."""
 
     delimiter = b"\n"
+    link: int | None = 2  # as UnetStack has it
 
     def __init__(self) -> None:
         self._numbers = count(1)
         self._name = ""
         self._location: list[float] | None = None  # east, north, up [m]; None: the client has set none
-        self._linked: dict[int, _Linked] = {}  # by number of a frame: what waits for its acknowledgement
-        self._seen: dict[int, int] = {}  # by sender: the number of the last frame of the link
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
@@ -136,7 +133,7 @@ class Unet:
             (PHYSICAL, "DatagramReq"): self._frame,
             (PHYSICAL, "TxFrameReq"): self._frame,
             (PHYSICAL, "ClearReq"): self._clear,
-            (LINK, "DatagramReq"): self._datagram,
+            (LINK, "DatagramReq"): self._frame,
             (RANGER, "RangeReq"): self._range,
             (ADDRESSES, "AddressResolutionReq"): self._resolve,
         }
@@ -171,7 +168,11 @@ class Unet:
         reply.agree(why)
 
     def _frame(self, reply: _Reply, data: dict[str, Any]) -> None:
+        """A frame of the modem, or a datagram of the link, which is acknowledged if it asks for that."""
         kind = CONTROL if _whole(data.get("type")) == CONTROL else DATA
+        to, payload = _whole(data.get("to")) or EVERYBODY, payload_of(data.get("data"))
+        what = _whole(data.get("protocol")) or 0
+        reliable = reply.agent == LINK and bool(data.get("reliability")) and to != EVERYBODY
 
         def sent(frame: SentFrame) -> None:
             at_us, airtime_us = self._modem.us(frame.at_ns), frame.airtime_ns // 1000
@@ -180,29 +181,21 @@ class Unet:
         def dropped(cause: Cause) -> None:
             reply.tell(f"{_UNET}.DatagramFailureNtf", to=to, reason=str(cause))
 
-        to, payload = _whole(data.get("to")) or EVERYBODY, payload_of(data.get("data"))
-        what = _whole(data.get("protocol")) or 0
+        def ends(delivered: bool) -> None:
+            reply.tell(f"{_UNET}.Datagram{'Delivery' if delivered else 'Failure'}Ntf", to=to)
+
         if payload is None:
             reply.agree("the data are no bytes")
         elif not 0 <= what <= 63:
             reply.agree(f"there is no protocol {what}: they are 0 to 63")
+        elif reliable:
+            reply.agree(self._modem.deliver(Job(payload, to, what), self._tries, ends))
         else:
             reply.agree(self._modem.submit(Job(payload, to, what, sent, dropped)))
 
-    def _datagram(self, reply: _Reply, data: dict[str, Any]) -> None:
-        """A datagram of the link: acknowledged and tried again, if it asks for that."""
-        to, what = _whole(data.get("to")) or EVERYBODY, _whole(data.get("protocol")) or 0
-        payload = payload_of(data.get("data"))
-        if not data.get("reliability") or to == EVERYBODY or payload is None:
-            self._frame(reply, data)
-            return
-        number = next(n for n in (n % 256 for n in self._numbers) if n not in self._linked)
-        linked = _Linked(self, reply, to, bytes((_CARRIED, number, what)) + payload, number)
-        if why := linked.send():
-            reply.agree(why)
-            return
-        self._linked[number] = linked
-        reply.agree("")
+    @property
+    def _tries(self) -> int:
+        return self._modem.sea.modem.tries or _MOST_TRIES
 
     def _parameters(self, reply: _Reply, data: dict[str, Any]) -> None:
         index = _whole(data.get("index"))
@@ -228,18 +221,18 @@ class Unet:
         if agent == NODE:
             north, east, down = sea.place()[:3]
             place = self._location or [east, north, -down]
-            return {"address": modem.address, "nodeName": self._name, "addressSize": 8, "location": place,
+            return {"address": modem.number, "nodeName": self._name, "addressSize": 8, "location": place,
                     "origin": [None, None], "mobility": False}  # fmt: skip
         if agent == PHYSICAL:
             rate = 8 * sea.mtu / (sea.modem.airtime_ns(sea.mtu) / 1e9)
             if index in (CONTROL, DATA):
                 return {"MTU": sea.mtu, "frameLength": sea.mtu, "dataRate": rate,
                         "frameDuration": sea.modem.airtime_ns(sea.mtu) / 1e9}  # fmt: skip
-            return {"MTU": sea.mtu, "RTU": sea.mtu, "busy": modem.busy, "time": modem.now_us, "rxEnable": True,
-                    "propagationSpeed": sea.sound_speed, "timestampedTxDelay": 0.0}  # fmt: skip
+            return {"MTU": sea.mtu, "RTU": sea.mtu, "busy": modem.state != "idle", "time": modem.now_us,
+                    "rxEnable": True, "propagationSpeed": sea.sound_speed, "timestampedTxDelay": 0.0}  # fmt: skip
         if agent == LINK:
-            return {"MTU": sea.mtu - _Linked.HEADER, "RTU": sea.mtu - _Linked.HEADER, "reliability": True,
-                    "maxRetries": _tries(modem), "phy": PHYSICAL}  # fmt: skip
+            return {"MTU": sea.mtu - HEADER, "RTU": sea.mtu - HEADER, "reliability": True,
+                    "maxRetries": self._tries, "phy": PHYSICAL}  # fmt: skip
         return {}
 
     def _set(self, agent: str, name: str, value: Any) -> None:
@@ -254,35 +247,22 @@ class Unet:
 
     # What the water says.
 
-    def heard(self, frame: HeardFrame) -> None:
+    def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`."""
-        if frame.what == LINK_PROTOCOL and len(frame.payload) >= _Linked.HEADER:
-            self._hears_link(frame)
-            return
-        name = f"{_UNET}.phy.RxFrameNtf"
-        self._received(
-            name, PHYSICAL, frame, frame.what, frame.payload, txTime=self._modem.us(frame.sent_ns), type=DATA
-        )
+        self._publish(f"{_UNET}.phy.RxFrameStartNtf", PHYSICAL, rxTime=self._modem.us(sound.begin_ns), type=DATA)
 
-    def _received(self, name: str, agent: str, frame: HeardFrame, what: int, payload: bytes, **more: Any) -> None:
-        data = {"clazz": "[B", "data": base64.b64encode(payload).decode()}
-        to = EVERYBODY if frame.to is None else frame.to
-        address = {"from": frame.src, "to": to, "protocol": what}
-        self._publish(
-            name, agent, (DATAGRAM_TOPIC,), data=data, rxTime=self._modem.us(frame.begin_ns), **address, **more
-        )
-
-    def _hears_link(self, frame: HeardFrame) -> None:
-        kind, number, what = frame.payload[: _Linked.HEADER]
-        if kind == _ACKNOWLEDGEMENT:
-            if (linked := self._linked.pop(number, None)) is not None and linked.to == frame.src:
-                linked.delivered()
-            return
-        answer = bytes((_ACKNOWLEDGEMENT, number, what))
-        self._modem.submit(Job(answer, frame.src, LINK_PROTOCOL))
-        if self._seen.get(frame.src) != number:  # else only its acknowledgement was lost
-            self._seen[frame.src] = number
-            self._received(f"{_UNET}.DatagramNtf", LINK, frame, what, frame.payload[_Linked.HEADER :])
+    def heard(self, frame: HeardFrame, *, answered: bool) -> None:
+        """See `ModemLanguage`."""
+        data = {
+            "data": {"clazz": "[B", "data": base64.b64encode(frame.payload).decode()},
+            "from": frame.src, "to": EVERYBODY if frame.to is None else frame.to, "protocol": frame.what,
+            "rxTime": self._modem.us(frame.begin_ns),
+        }  # fmt: skip
+        if answered:
+            self._publish(f"{_UNET}.DatagramNtf", LINK, (DATAGRAM_TOPIC,), **data)
+        else:
+            data |= {"txTime": self._modem.us(frame.sent_ns), "type": DATA}
+            self._publish(f"{_UNET}.phy.RxFrameNtf", PHYSICAL, (DATAGRAM_TOPIC,), **data)
 
     def spoiled(self, cause: Cause, at_ns: int) -> None:
         """See `ModemLanguage`."""
@@ -290,15 +270,6 @@ class Unet:
         self._publish(f"{_UNET}.phy.BadFrameNtf", PHYSICAL, rxTime=at_us, type=DATA)
         if cause is Cause.COLLISION:
             self._publish(f"{_UNET}.phy.CollisionNtf", PHYSICAL, rxTime=at_us, type=DATA)
-
-    def gives_up(self, number: int) -> None:
-        """A frame of the link was not acknowledged in all tries."""
-        self._linked.pop(number, None)
-
-    @property
-    def modem(self) -> ModemCore:
-        """The core that it speaks for."""
-        return self._modem
 
 
 class _Reply:
@@ -320,46 +291,6 @@ class _Reply:
             self.tell(f"{_UNET}.RefuseRsp", perf="REFUSE", reason=why_not)
         else:
             self.perform("AGREE")
-
-
-class _Linked:
-    """A datagram of the link that waits for its acknowledgement."""
-
-    HEADER = 3  # bytes: kind, number, protocol
-
-    def __init__(self, node: Unet, reply: _Reply, to: int, payload: bytes, number: int) -> None:
-        self._node, self._reply, self.to, self._payload, self._number = node, reply, to, payload, number
-        self._tried = 0
-
-    def send(self) -> str:
-        """Send it. Returns why it cannot be sent."""
-        self._tried += 1
-        return self._node.modem.submit(Job(self._payload, self.to, LINK_PROTOCOL, self._left, lambda _: self._late()))
-
-    def _left(self, frame: SentFrame) -> None:
-        sea = self._node.modem.sea
-        air_s = (frame.airtime_ns + sea.modem.airtime_ns(self.HEADER)) / 1e9
-        self._node.modem.after(sea.there_and_back_s + air_s + sea.access_s + _WAIT_S, self._late_of(self._tried))
-
-    def _late_of(self, tried: int) -> Callable[[], None]:
-        return lambda: self._late() if tried == self._tried else None
-
-    def _late(self) -> None:
-        node = self._node
-        if node._linked.get(self._number) is not self:
-            return
-        if self._tried < _tries(node.modem) and not self.send():
-            return
-        node.gives_up(self._number)
-        self._reply.tell(f"{_UNET}.DatagramFailureNtf", to=self.to)
-
-    def delivered(self) -> None:
-        """It was acknowledged."""
-        self._reply.tell(f"{_UNET}.DatagramDeliveryNtf", to=self.to)
-
-
-def _tries(modem: ModemCore) -> int:
-    return modem.sea.modem.tries or _MOST_TRIES
 
 
 def _whole(value: Any) -> int | None:

@@ -10,6 +10,7 @@ from modem_water import ModemClient, Water
 
 from fleet.addons.robots.modems.evologics import EvoLogics
 from netem.cause import Cause
+from netem.endpoint import ModemRequest, Sound
 
 
 class Program(ModemClient):
@@ -24,6 +25,10 @@ class Program(ModemClient):
     def asks(self, data: bytes) -> bytes:
         self.says(data)
         return self.hears()
+
+
+def acknowledges(request: ModemRequest) -> bytes:
+    return b"\0" + request.payload[1:3]
 
 
 @pytest.fixture
@@ -55,16 +60,16 @@ def test_settings_are_answered_in_both_modes(program: Program) -> None:
 def test_an_instant_message_is_delivered(program: Program, water: Water, command: bytes) -> None:
     assert program.asks(command) == b"+++AT*SENDIM:2:OK\r\n"
     request = water.sends()
-    assert (request.to, request.payload[2:]) == (2, b"hello")
+    assert (request.to, request.payload[3:]) == (2, b"hello")
     assert [program.hears().split(b",")[0] for _ in range(2)] == [b"+++AT:23:SENDSTART", b"+++AT:27:SENDEND"]
-    water.brings(2, request.payload[1:2], what=37, left=2.0, came=2.5)
+    water.brings(2, acknowledges(request), what=37, left=2.0, came=2.5)
     assert program.hears() == b"+++AT:13:DELIVEREDIM,2\r\n"
     assert program.asks(b"+++AT?T\n") == b"+++AT?T:6:500000\r\n"
 
 
 def test_a_message_with_line_feeds_is_whole(program: Program, water: Water) -> None:
     assert program.asks(b"+++AT*SENDIM,5,2,noack,a\nb\nc\n") == b"+++AT*SENDIM:2:OK\r\n"
-    assert water.next().payload[2:] == b"a\nb\nc"
+    assert water.next().payload == b"a\nb\nc"
 
 
 def test_an_instant_message_that_the_water_loses_has_failed(program: Program, water: Water) -> None:
@@ -75,12 +80,16 @@ def test_an_instant_message_that_the_water_loses_has_failed(program: Program, wa
 
 def test_what_comes_is_told_and_acknowledged(program: Program, water: Water) -> None:
     program.asks(b"+++AT?AL\n")
-    water.brings(3, bytes((1, 7)) + b"hi\n", what=35, left=1.0, came=1.2)
+    water.core.reached(Sound(water.at(0.0), water.at(0.1)))
+    assert program.hears() == b"+++AT:9:RECVSTART\r\n"
+    water.brings(3, bytes((1, 7, 35)) + b"hi\n", what=37, left=1.0, came=1.2)
+    assert program.hears() == b"+++AT:27:RECVEND,1300000,60000,0,100\r\n"
     head, flag, *_ = program.hears().partition(b"ack")
     assert head == b"+++AT:39:RECVIM,3,3,1," and flag == b"ack"
     assert program.hears() == b"\r\n"  # the message had a line feed
-    assert water.next().payload == bytes((7,))
-    water.brings(3, bytes((0, 8)) + b"data", what=36, to=None, left=3.0, came=3.25)
+    assert water.next().payload == bytes((0, 7, 35))
+    water.brings(3, b"data", what=36, to=None, left=3.0, came=3.25)
+    assert b"RECVEND" in program.hears()
     assert program.hears().startswith(b"+++AT:41:RECV,4,3,255,") and not water.given
 
 
@@ -89,9 +98,9 @@ def test_data_go_to_the_remote_address(program: Program, water: Water) -> None:
     assert program.asks(b"+++AT!AR3\n") == b"+++AT!AR:2:OK\r\n"
     program.says(b"some data\n")
     request = water.sends()
-    assert (request.to, request.payload[2:]) == (3, b"some data")
+    assert (request.to, request.payload[3:]) == (3, b"some data")
     assert program.hears().startswith(b"+++AT:") and program.hears().startswith(b"+++AT:")
-    water.brings(3, request.payload[1:2], what=37, left=2.0, came=2.5)
+    water.brings(3, acknowledges(request), what=37, left=2.0, came=2.5)
     assert program.hears() == b"+++AT:13:DELIVERED,1,3\r\n"
 
 

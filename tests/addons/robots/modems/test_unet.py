@@ -6,16 +6,17 @@ import base64
 import json
 from collections.abc import Iterator
 from contextlib import closing
+from time import monotonic_ns
 from typing import Any
 
 import pytest
 from modem_water import LIMIT_S, SPEED, ModemClient, Water
 from waiting import wait_for
 
-from fleet.addons.robots.modems.line_port import MOST_LINE
 from fleet.addons.robots.modems.modem import RANGING
-from fleet.addons.robots.modems.unet import DATAGRAM_TOPIC, LINK_PROTOCOL, Unet
+from fleet.addons.robots.modems.unet import DATAGRAM_TOPIC, Unet
 from netem.cause import Cause
+from netem.endpoint import SentFrame, Sound
 
 UNET = "org.arl.unet"
 
@@ -122,6 +123,7 @@ def test_datagrams_wait_in_order_and_a_full_queue_refuses(program: Program, wate
     for number in range(4):
         program.requests(f"{UNET}.DatagramReq", "phy", data=[number])
     assert [program.message()[1]["perf"] for _ in range(4)] == ["AGREE", "AGREE", "AGREE", "REFUSE"]
+    assert water.core.remark == "its modem refused 1 payload, since 2 were waiting"
     assert [water.sends().payload for _ in range(2)] == [b"\x00", b"\x01"]
     assert [program.message()[0] for _ in range(2)] == ["TxFrameNtf"] * 2
     program.requests(f"{UNET}.ClearReq", "phy")
@@ -175,8 +177,8 @@ def test_the_link_acknowledges_and_tries_again(program: Program, water: Water) -
     assert program.message()[1]["perf"] == "AGREE"
     request = water.sends()
     kind, number, what = request.payload[:3]
-    assert (request.what, kind, what, request.payload[3:]) == (LINK_PROTOCOL, 1, 32, b"\x07")
-    water.brings(2, bytes((0, number, what)), what=LINK_PROTOCOL, left=2.0, came=2.2)
+    assert (request.what, kind, what, request.payload[3:]) == (Unet.link, 1, 32, b"\x07")
+    water.brings(2, bytes((0, number, what)), what=Unet.link, left=2.0, came=2.2)
     kind, data = program.message()
     assert (kind, data["to"]) == ("DatagramDeliveryNtf", 2)
 
@@ -185,10 +187,48 @@ def test_a_frame_of_the_link_that_comes_twice_is_told_once(program: Program, wat
     program.say(action="wantsMessagesFor", agentIDs=[DATAGRAM_TOPIC])
     program.asks("services")
     for _ in range(2):
-        water.brings(2, bytes((1, 5, 32)) + b"x", what=LINK_PROTOCOL, left=1.0, came=1.2)
+        water.brings(2, bytes((1, 5, 32)) + b"x", what=Unet.link, left=1.0, came=1.2)
         assert water.sends().payload == bytes((0, 5, 32))  # its acknowledgement
     assert program.message()[0] == "DatagramNtf"
     assert program.asks("containsAgent", agentID="phy")["answer"] is True  # and no second one came before
+
+
+def test_a_frame_that_is_never_acknowledged_is_sent_three_times(program: Program, water: Water) -> None:
+    """What is lost before it left counts as a try."""
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
+    assert program.message()[1]["perf"] == "AGREE"
+    for _ in range(3):
+        water.core.dropped(water.next().tag, Cause.MUTE)
+    kind, data = program.message()
+    assert (kind, data["to"]) == ("DatagramFailureNtf", 2) and not water.given
+
+
+def test_an_acknowledgement_of_another_node_delivers_nothing(program: Program, water: Water) -> None:
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
+    assert program.message()[1]["perf"] == "AGREE"
+    number = water.sends().payload[1]
+    for src in (3, 2):
+        water.brings(src, bytes((0, number, 0)), what=Unet.link, left=2.0, came=2.2)
+    assert program.message()[0] == "DatagramDeliveryNtf"
+    assert program.asks("containsAgent", agentID="phy")["answer"] is True  # and no second one came before
+
+
+def test_a_modem_that_hears_something_is_busy_and_says_when_it_begins(program: Program, water: Water) -> None:
+    """This is what a program with a MAC of its own senses the carrier by."""
+    program.say(action="wantsMessagesFor", agentIDs=["#phy__ntf"])
+    assert program.get("phy", "busy") is False
+    water.core.reached(Sound(water.at(0.25), water.at(1e6)))
+    kind, data = program.message()
+    assert (kind, data["rxTime"]) == ("RxFrameStartNtf", 250_000)
+    assert program.get("phy", "busy") is True and water.core.state == "receiving"
+    program.requests(f"{UNET}.DatagramReq", "phy", to=2, data=[1])
+    assert program.message()[1]["perf"] == "AGREE"
+    now_s = (monotonic_ns() - water.begin_ns) / 1e9
+    request = water.next()
+    water.core.sent(SentFrame(request.tag, water.at(now_s), 10**15))
+    assert program.message()[0] == "TxFrameNtf" and water.core.state == "transmitting"
+    water.core.reached(Sound(water.at(now_s), water.at(1e6)))  # which it does not hear
+    assert program.asks("containsAgent", agentID="phy")["answer"] is True
 
 
 def test_what_is_not_understood_is_told(program: Program) -> None:
@@ -204,14 +244,6 @@ def test_what_is_not_understood_is_told(program: Program) -> None:
 def test_rubbish_disturbs_nobody(program: Program, water: Water, rubbish: bytes) -> None:
     with closing(Program(water.core.line_port.port)) as other:
         other.socket.sendall(rubbish)
-        assert program.asks("containsAgent", agentID="phy")["answer"] is True
-
-
-def test_a_line_without_an_end_ends_its_connection(program: Program, water: Water) -> None:
-    with closing(Program(water.core.line_port.port)) as other:
-        with pytest.raises((BrokenPipeError, ConnectionResetError)):  # noqa: PT012  # at some later write
-            while True:
-                other.socket.sendall(bytes(MOST_LINE))
         assert program.asks("containsAgent", agentID="phy")["answer"] is True
 
 

@@ -1,0 +1,86 @@
+"""Clients that speak no language of a modem, or go in the middle: the others notice nothing, in any language."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from modem_water import LIMIT_S, ModemClient, Water
+from waiting import wait_for
+
+from fleet.addons.robots.modems.evologics import EvoLogics
+from fleet.addons.robots.modems.line_port import MOST_LINE
+from fleet.addons.robots.modems.micromodem import MicroModem
+from fleet.addons.robots.modems.modem import ModemLanguage
+from fleet.addons.robots.modems.unet import Unet
+
+# A request of each language, and the beginning of its answer; and a payload that it sends.
+ASKS = {
+    Unet: (b'{"action": "services", "id": "1"}\n', b'{"id": "1"'),
+    MicroModem: (b"$CCCFQ,SRC\r\n", b"$CACFG,SRC,1"),
+    EvoLogics: (b"+++AT?AL\n", b"+++AT?AL:1:1"),
+}
+SENDS = {
+    Unet: b'{"action": "send", "message": {"clazz": "DatagramReq", "data": {"recipient": "phy", "to": 2}}}\n',
+    MicroModem: b"$CCMUC,1,2,0ABC\r\n",
+    EvoLogics: b"+++AT*SENDIM,1,2,noack,x\n",
+}
+
+
+@pytest.fixture(params=list(ASKS))
+def language(request: pytest.FixtureRequest) -> Callable[[], ModemLanguage]:
+    found: Callable[[], ModemLanguage] = request.param
+    return found
+
+
+@pytest.fixture
+def water(language: Callable[[], ModemLanguage]) -> Iterator[Water]:
+    with closing(Water(language)) as found:
+        yield found
+
+
+def answers(water: Water, language: Callable[[], ModemLanguage]) -> bool:
+    """Whether a new client gets the answer to its request. Others may be told more before it."""
+    question, answer = ASKS[language]  # type: ignore[index]
+    with closing(ModemClient(water.port)) as client:
+        client.socket.sendall(question)
+        return any(line.startswith(answer) for line in client.file)
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.one_of(st.binary(max_size=300), st.text('{}[]",:$*+AT?CM\n\r0123456789-', max_size=60).map(str.encode)))
+def test_rubbish_disturbs_nobody(water: Water, language: Callable[[], ModemLanguage], data: bytes) -> None:
+    with closing(ModemClient(water.port)) as client:
+        client.socket.sendall(data + b"\n")
+        assert answers(water, language)
+
+
+def test_half_a_line_is_forgotten_with_its_client(water: Water, language: Callable[[], ModemLanguage]) -> None:
+    with closing(ModemClient(water.port)) as client:
+        client.socket.sendall(SENDS[language][:-3])  # type: ignore[index]
+    wait_for(lambda: not water.core.line_port.clients, LIMIT_S, "the end of the connection")
+    assert answers(water, language) and not water.given
+
+
+def test_a_line_without_an_end_ends_its_connection(water: Water, language: Callable[[], ModemLanguage]) -> None:
+    with closing(ModemClient(water.port)) as client:
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):  # noqa: PT012  # at some later write
+            while True:
+                client.socket.sendall(b"7" * MOST_LINE)
+        assert answers(water, language)
+
+
+def test_who_goes_in_mid_transmission_has_sent_it(water: Water, language: Callable[[], ModemLanguage]) -> None:
+    with closing(ModemClient(water.port)) as client:
+        client.socket.sendall(SENDS[language])  # type: ignore[index]
+        request = water.next()
+    wait_for(lambda: not water.core.line_port.clients, LIMIT_S, "the end of the connection")
+    water.given.insert(0, request)
+    water.sends()
+    assert answers(water, language)
+    with closing(ModemClient(water.port)) as client:  # the modem is free again
+        client.socket.sendall(SENDS[language])  # type: ignore[index]
+        assert water.next().payload == request.payload

@@ -1,0 +1,106 @@
+"""What the relay tells a modem that programs open: when it transmits, what reaches it, and what becomes of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from netem.cause import Cause
+from netem.condition import Condition, Link
+from netem.config import NetemConfig
+from netem.endpoint import HeardFrame, ModemRequest, Sea, SentFrame, Sound
+from netem.faults import NetFault
+from netem.modem import AcousticConfig, Modem
+from netem.relay import MODEM, Relay, RobotMessage
+
+TICK_NS, BEGIN_NS = 10_000_000, 5_000_000_000
+LINKS: tuple[Link, ...] = ((1, 2), (2, 1), (2, 3), (3, 2), (1, 3), (3, 1))
+# A byte is 10 ms, and 150 m are 0.1 s.
+QUICK = Modem(800.0, 0.1, 25e3, 4e3, 190.0, 0.0, 3000.0, 6000.0, 60, 6.0, 10.0, 10.0)
+PLACES = {1: (0.0, 0.0, 10.0), 2: (150.0, 0.0, 10.0), 3: (300.0, 0.0, 10.0)}
+
+
+@dataclass
+class Listener:
+    """A modem that keeps what it is told; times in ms after the begin."""
+
+    number: int
+    told: list[tuple[Any, ...]] = field(default_factory=list)
+    remark: str = ""
+
+    def listen(self) -> None:
+        raise AssertionError
+
+    def begin(self, sea: Sea) -> None:
+        raise AssertionError
+
+    def close(self) -> None:
+        raise AssertionError
+
+    def sent(self, frame: SentFrame) -> None:
+        self.told.append(("sent", frame.tag, ms(frame.at_ns), frame.airtime_ns // 10**6))
+
+    def dropped(self, tag: Any, cause: Cause) -> None:
+        self.told.append(("dropped", tag, cause))
+
+    def heard(self, frame: HeardFrame) -> None:
+        self.told.append(("heard", frame.payload, ms(frame.sent_ns), ms(frame.begin_ns)))
+
+    def reached(self, sound: Sound) -> None:
+        self.told.append(("reached", ms(sound.begin_ns), ms(sound.end_ns)))
+
+    def spoiled(self, cause: Cause, at_ns: int) -> None:
+        self.told.append(("spoiled", cause))
+
+
+def ms(at_ns: int) -> float:
+    return (at_ns - BEGIN_NS) / 1e6
+
+
+def told(*sent: tuple[int, int | None, bytes, float], faults: tuple[NetFault, ...] = ()) -> dict[int, list[Any]]:
+    """What three modems learn if these payloads are given to them: (modem, receiver, payload, time [ms])."""
+    acoustic = AcousticConfig(QUICK, buffer=2, refuses=True, sound_speed=1500.0)
+    config = NetemConfig(
+        seed=1, tick_ns=TICK_NS, round_ticks=1, vehicles=(1, 2, 3), links=LINKS,
+        conditions=dict.fromkeys(LINKS, Condition()), faults=faults, acoustic=acoustic,
+    )  # fmt: skip
+    modems = {i: Listener(i) for i in config.vehicles}
+    relay = Relay(config, BEGIN_NS, modems=modems)
+    relay.places.update(PLACES)
+    waiting = sorted(sent, key=lambda one: one[3])
+    for tick in range(300):
+        at_ns = BEGIN_NS + tick * TICK_NS
+        while waiting and waiting[0][3] <= ms(at_ns):
+            src, to, payload, _ = waiting.pop(0)
+            relay.take(RobotMessage(src, MODEM, "modem/0", payload, at_ns, ModemRequest(src, to, 0, payload, "t"), to))
+        for due in list(relay.handed(at_ns)):
+            modems[due.dst].heard(relay.frame_of(due))
+            relay.settle(due, at_ns, delivered=True)
+    return {i: modem.told for i, modem in modems.items()}
+
+
+def test_a_payload_is_sent_reaches_all_and_is_heard_by_whom_it_is_for() -> None:
+    """5 bytes and the preamble are 150 ms on the air."""
+    found = told((1, 2, b"hello", 50.0))
+    assert found[1] == [("sent", "t", 50.0, 150)]
+    assert found[2] == [("reached", 150.0, 300.0), ("heard", b"hello", 50.0, 150.0)]
+    assert found[3] == [("reached", 250.0, 400.0)]
+
+
+def test_a_collision_is_told_where_it_is_one() -> None:
+    found = told((1, 2, b"hello", 0.0), (3, 2, b"world", 0.0))
+    assert [one[0] for one in found[2]] == ["reached", "reached", "spoiled", "spoiled"]
+    assert found[2][2:] == [("spoiled", Cause.COLLISION)] * 2
+
+
+def test_what_a_modem_cannot_send_is_told_to_it_alone() -> None:
+    mute = NetFault("m", 0, 100, "mute", vehicles=(1,))
+    found = told((1, 2, b"hello", 0.0), faults=(mute,))
+    assert {one[:1] + one[2:] for one in found[1]} == {("dropped", Cause.MUTE)} and not found[2] and not found[3]
+
+
+def test_sound_passes_where_a_link_is_cut() -> None:
+    """A partition keeps frames, and no energy: the modem hears that somebody talks."""
+    cut = NetFault("c", 0, 100, "down", ((1, 2),))
+    found = told((1, 2, b"hello", 0.0), faults=(cut,))
+    assert found[2] == [("reached", 100.0, 250.0)]

@@ -78,8 +78,8 @@ class ModemEndpoint(Protocol):
 
     number: int  # of its robot
 
-    def listen(self) -> None:
-        """Open its port. Raises BusError: it cannot be opened."""
+    def listen(self) -> str:
+        """Open its port. Returns the port, or the path of its terminal. Raises BusError: it cannot be opened."""
 
     def begin(self, sea: Sea) -> None:
         """The channel carries from now on."""

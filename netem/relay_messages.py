@@ -63,6 +63,7 @@ class Opened(Struct):
     """The first thing that the console hears."""
 
     ports: dict[int, int] = {}  # by robot whose address leaves its port open: the port of our router
+    modems: dict[int, str] = {}  # by robot: the port of its modem, or the path of its terminal
     problem: str = ""  # why the relay cannot begin
 
 

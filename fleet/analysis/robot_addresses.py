@@ -21,9 +21,14 @@ _EVERY = re.compile(r"/(0\.0\.0\.0|\[::\])(?=:)")  # every address of this host
 _PEOPLE = range(1000, 60_000)  # the numbers of the accounts of people
 
 
-def lines(scenario: Scenario, found: Mapping[str, str] = MappingProxyType({})) -> Iterator[str]:
+def lines(
+    scenario: Scenario,
+    found: Mapping[str, str] = MappingProxyType({}),
+    modems: Mapping[str, str] = MappingProxyType({}),
+) -> Iterator[str]:
     """For each node the programs that the run starts, or the address that those of the user need, and how those of
-    ROS 2 get it. `found`: the addresses of nodes that say none; empty: they have none yet.
+    ROS 2 get it. `found`: the addresses of nodes that say none; `modems`: the ports of modems. They are empty as long
+    as nothing is open.
     """
     nodes = scenario.spec.nodes or {}
     started: dict[str, list[str]] = {}
@@ -37,18 +42,19 @@ def lines(scenario: Scenario, found: Mapping[str, str] = MappingProxyType({})) -
             continue
         if name in free and name not in found:
             yield f"{name:{width}}  gets a free port of this host, which fleet netem tells"
-        for said in _of(node, found.get(name, "")):
+        for said in _of(node, found.get(name, ""), modems.get(name, "")):
             yield f"{name:{width}}  {said}"
 
 
-def _of(node: Node, found: str) -> Iterator[str]:
-    if node.modem is not None and node.modem.unet is not None:
-        yield f"modem of UnetStack: UnetSocket('{node.modem.host}', {node.modem.unet})"
-    if node.modem is not None and node.modem.evologics is not None:
-        yield f"modem of EvoLogics (experimental): TCP {node.modem.host}:{node.modem.evologics}"
-    if node.modem is not None and node.modem.micromodem is not None:
-        where = node.modem.micromodem
-        yield f"Micro-Modem: {where if isinstance(where, str) else f'TCP {node.modem.host}:{where}'}"
+def _of(node: Node, found: str, opened: str) -> Iterator[str]:
+    if (modem := node.modem) is not None:
+        where = opened or modem.where or "a free port, which fleet netem tells"
+        if modem.unet is not None:
+            yield f"modem of UnetStack: UnetSocket('{modem.host}', {where})"
+        elif modem.evologics is not None:
+            yield f"modem of EvoLogics (experimental): TCP {modem.host}:{where}"
+        else:
+            yield f"Micro-Modem: {where if isinstance(modem.micromodem, str) else f'TCP {modem.host}:{where}'}"
     if listen := node.listen or found:
         address = _EVERY.sub(f"/{socket.gethostname()}", listen)
         yield f"""export ZENOH_CONFIG_OVERRIDE='connect/endpoints=["{address}"]'"""

@@ -58,6 +58,7 @@ _WANTED = {
     "less_than_equal": ("must be {le} or less", ""),
     "less_than": ("must be less than {lt}", ""),
     "list_type": ("expected a list", ""),
+    "string_too_short": ("must not be empty", ""),
     "string_type": ("expected a text", "quotes make it a text"),
     "string_pattern_mismatch": ("expected lower-case letters, digits, - and _", "it names the run's directory"),
 }
@@ -223,6 +224,8 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
         case "model_type" | "dict_type" | "model_attributes_type":
             message = f"expected keys with values, got {describe_value(value)}"
             hint = nearest(str(loc[-1]), [key for key in _siblings(loc) if key != loc[-1]]) or "write {key: value}"
+        case "too_short":
+            message, hint = f"must have {context['min_length']} or more entries, got {context['actual_length']}", ""
         case kind:
             wanted, hint = _WANTED.get(kind, ("{msg}", ""))
             message = f"{wanted.format_map({**context, 'msg': error['msg']})}, got {describe_value(value)}"

@@ -28,7 +28,7 @@ class Listener:
     told: list[tuple[Any, ...]] = field(default_factory=list)
     remark: str = ""
 
-    def listen(self) -> None:
+    def listen(self) -> str:
         raise AssertionError
 
     def begin(self, sea: Sea) -> None:

@@ -124,15 +124,16 @@ class Programs:
 
     # Before the run begins.
 
-    def start(self, addresses: Mapping[str, str]) -> None:
-        """Start the programs. `addresses`: where they meet us, by node. Raises RunBroken: the keeper cannot start."""
+    def start(self, addresses: Mapping[str, str], modems: Mapping[str, str]) -> None:
+        """Start the programs. `addresses`, `modems`: where they meet us, and open a modem, by node. Raises RunBroken:
+        the keeper cannot start."""
         if not self.states:
             return
         after = max((state.section.ready.after or 0 for state in self.states.values()), default=0)
         planned_ns = monotonic_ns() + BEFORE_NS + after + (self._scenario.spec.begin or 0)
         uses = any(_EARLY in text for s in self.states.values() for text in (*s.section.run, *s.section.env.values()))
         self._planned_ns = planned_ns if uses else None
-        values = [self._values_of(state, addresses, planned_ns) for state in self.states.values()]
+        values = [self._values_of(state, addresses, modems, planned_ns) for state in self.states.values()]
         self._composed = True  # also one that fails may have begun something
         self._compose("up", "-d", "--wait")
         try:
@@ -146,7 +147,9 @@ class Programs:
         os.set_blocking(self._keeper.stdout.fileno(), False)
         self._tell(programs=values)
 
-    def _values_of(self, state: ProgramState, addresses: Mapping[str, str], begin_ns: int) -> dict[str, Any]:
+    def _values_of(
+        self, state: ProgramState, addresses: Mapping[str, str], modems: Mapping[str, str], begin_ns: int
+    ) -> dict[str, Any]:
         section, ready = state.section, state.section.ready
         node = self._scenario.nodes[state.node - 1]
         listen = addresses.get(node, "").replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
@@ -155,7 +158,8 @@ class Programs:
             connect = {"mode": "client", "connect": {"endpoints": [listen]}}
             file.write_text(json.dumps(connect | {"scouting": {"multicast": {"enabled": False}}}))
         known = {
-            "listen": listen, "zenoh": file, "node": node, "number": state.node, "seed": self._scenario.seed,
+            "listen": listen, "zenoh": file, "modem": modems.get(node, ""), "node": node, "number": state.node,
+            "seed": self._scenario.seed,
             "begin_s": f"{begin_ns / 1e9:.3f}", "duration_s": f"{self._scenario.duration_ns / 1e9:g}",
             "dir": self._directory, "domain": os.environ.get("ROS_DOMAIN_ID", "0"),
         }  # fmt: skip

@@ -122,14 +122,11 @@ def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
         from fleet.addons.robots.modems.modem import ModemCore
         from fleet.addons.robots.modems.unet import Unet
 
-        if modem.unet is not None:
-            yield ModemCore(i, Unet, modem.unet, modem.host)
-        elif modem.evologics is not None:
-            yield ModemCore(i, EvoLogics, modem.evologics, modem.host)
-        elif isinstance(modem.micromodem, int):
-            yield ModemCore(i, MicroModem, modem.micromodem, modem.host)
+        language = Unet if modem.unet is not None else EvoLogics if modem.evologics is not None else MicroModem
+        if isinstance(where := modem.where, str):
+            yield ModemCore(i, language, terminal=where)
         else:
-            yield ModemCore(i, MicroModem, terminal=modem.micromodem or "")
+            yield ModemCore(i, language, where or 0, modem.host)
 
 
 class RelayRun:
@@ -216,9 +213,12 @@ class RelayRun:
         if opened.problem:
             raise RunBroken(opened.problem)
         ports = {self._scenario.nodes[i - 1]: port for i, port in opened.ports.items()}
+        self._modems = {self._scenario.nodes[i - 1]: where for i, where in opened.modems.items()}
         self._found = {name: f"{_FREE.removesuffix(ANY_PORT)}:{ports[name]}" for name in self._found}
         self.waiting = ""
-        for line in lines(self._scenario, self._found):  # not before: a program that comes too early is refused
+        for line in lines(
+            self._scenario, self._found, self._modems
+        ):  # not before: a program that comes too early is refused
             self._print(line)
 
     def _begin(self, progress: Callable[[], None]) -> None:
@@ -229,7 +229,7 @@ class RelayRun:
             self._tell(op="begin", at_ns=self._begin_ns)
             return
         self._tell(op="rehearse", at_ns=None)
-        programs.start(self._addresses)
+        programs.start(self._addresses, self._modems)
         while True:
             programs.hear()
             if not (unready := programs.unready()):

@@ -32,6 +32,7 @@ from fleet.processes.limits import processors
 from fleet.result.file import RESULT, read_result
 from fleet.result.result import Result, Status
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.nodes import Node
 from netem.private_folder import PrivateFolder
 
 TRIES = 3  # of a run that is late
@@ -97,7 +98,7 @@ class StackRuns:
             return
         with suppress(FleetError):  # the run says it
             nodes = (scenario_of(task).spec.nodes or {}).items()
-            named = [name for name, node in nodes if node.udp or node.listen or node.connect or node.modem]
+            named = [name for name, node in nodes if _names_a_port(node)]
             self._one = bool(named)
             if named and self._given != 1:
                 self._tell(f"{', '.join(named)}: the file names their ports, so there is one run at a time")
@@ -117,6 +118,11 @@ class StackRuns:
             rest = f"{half} at a time from now on" if half < self._at_once else "one goes on at a time already"
             self._tell(f"{lates} of {runs} runs were late, because this machine is too busy: {rest}")
             self._at_once, self._since = half, [0, 0]
+
+
+def _names_a_port(node: Node) -> bool:
+    modem = node.modem is not None and node.modem.where != 0
+    return bool(node.udp or node.listen or node.connect or modem)
 
 
 class _Run:

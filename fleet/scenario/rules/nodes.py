@@ -34,6 +34,7 @@ def nodes(parts: Parts, report: Report) -> None:
     _ports(parts, report)
     _keys(parts, report)
     water, free = spec.network.acoustic is not None, without_address(spec.nodes)
+    opened: dict[int | str, str] = {}  # ports and terminals of modems, and whose they are
     for name, node in spec.nodes.items():
         if water and node.place is None:
             report.add(("nodes", name), "has no place, and sound needs one", "place: 0 0 10 m, or a topic that says it")
@@ -43,6 +44,10 @@ def nodes(parts: Parts, report: Report) -> None:
         if node.modem is not None and sum(each is not None for each in languages) != 1:
             report.add(
                 ("nodes", name, "modem"), "has one language", "modem: {unet: 1101}, or {micromodem: /tmp/ttyAUV1}"
+            )
+        elif node.modem is not None and (where := node.modem.where) and opened.setdefault(where, name) != name:
+            report.add(
+                ("nodes", name, "modem"), f"{opened[where]} has {where}, too", "give it another, or 0: a free port"
             )
         if isinstance(node.place, TopicPlace) and not (node.listen or node.connect or name in free):
             report.add(("nodes", name, "place"), "a topic needs listen or connect")

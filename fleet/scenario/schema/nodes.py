@@ -72,11 +72,17 @@ class TopicPlace(Section):
 class ModemPortSection(Section):
     """An acoustic modem that programs of the node open, in one of the languages of modems."""
 
-    unet: Annotated[int, Field(ge=1, le=65535)] | None = None  # TCP port, as UnetStack has 1100
+    # TCP ports. 0: a free one, which the run tells, and programs of the file get as {modem}.
+    unet: Annotated[int, Field(ge=0, le=65535)] | None = None  # as UnetStack has 1100
     # A WHOI Micro-Modem: a TCP port, or the path of a pseudo terminal that we make.
-    micromodem: Annotated[int, Field(ge=1, le=65535)] | str | None = None
-    evologics: Annotated[int, Field(ge=1, le=65535)] | None = None  # TCP port, as EvoLogics has 9200; experimental
+    micromodem: Annotated[int, Field(ge=0, le=65535)] | str | None = None
+    evologics: Annotated[int, Field(ge=0, le=65535)] | None = None  # as EvoLogics has 9200; experimental
     host: str = "127.0.0.1"  # the address that it listens on
+
+    @property
+    def where(self) -> int | str | None:
+        """The port, or the path of the terminal."""
+        return next((one for one in (self.unet, self.evologics, self.micromodem) if one is not None), None)
 
 
 class Node(Section):

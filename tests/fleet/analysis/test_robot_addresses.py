@@ -35,6 +35,20 @@ def test_an_address_of_every_interface_is_printed_as_one_to_connect_to() -> None
     assert "tcp/10.0.0.0:1" in said
 
 
+def test_a_modem_says_what_programs_open() -> None:
+    nodes = {"a": {"unet": 0}, "b": {"micromodem": "/tmp/ttyB"}, "c": {"evologics": 9200, "host": "10.0.0.1"},
+             "d": {"micromodem": 0}}  # fmt: skip
+    places = {name: {"modem": modem, "place": "0 0 10 m"} for name, modem in nodes.items()}
+    water = {"acoustic": {"queue": 4}}
+    found = parse_scenario(json.dumps({"title": "Modems", "nodes": places, "network": water}), "modems.yaml")
+    free = "a free port, which fleet netem tells"
+    assert [*lines(found)] == [
+        f"a  modem of UnetStack: UnetSocket('127.0.0.1', {free})", "b  Micro-Modem: /tmp/ttyB",
+        "c  modem of EvoLogics (experimental): TCP 10.0.0.1:9200", f"d  Micro-Modem: TCP 127.0.0.1:{free}",
+    ]  # fmt: skip
+    assert next(iter(lines(found, modems={"a": "43211"}))) == "a  modem of UnetStack: UnetSocket('127.0.0.1', 43211)"
+
+
 def test_a_port_for_other_machines_is_warned_of_and_a_unix_socket_is_none(tmp_path: Path) -> None:
     found = scenario(
         a={"listen": f"unixsock-stream/{tmp_path}/a"},

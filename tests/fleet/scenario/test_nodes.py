@@ -33,6 +33,13 @@ def mistakes(**sections: Any) -> str:
     return "\n".join(f"{problem.key}: {problem.message}; {problem.hint}" for problem in caught.value.problems)
 
 
+def modems(*each: dict[str, Any], water: bool = True) -> dict[str, Any]:
+    """Sections of a file whose nodes have these modems."""
+    nodes: dict[str, Any] = {"z": {"place": "9 0 10 m"}}
+    nodes |= {name: {"modem": modem, "place": "0 0 10 m"} for name, modem in zip("abc", each, strict=False)}
+    return {"nodes": nodes} | ({"network": {"acoustic": {"queue": 4}}} if water else {})
+
+
 def test_names_stand_where_numbers_do() -> None:
     found = scenario(
         graph={"edges": ["a-b", "b->shore"], "reference": ["shore"]},
@@ -156,6 +163,11 @@ def test_the_record_of_a_run_loads_to_an_equal_scenario() -> None:
     assert again.to_yaml() == text
 
 
+def test_modems_may_leave_their_ports_open() -> None:
+    nodes = scenario(**modems({"unet": 0}, {"micromodem": 0}, {"evologics": 0})).spec.nodes or {}
+    assert [node.modem.where for node in nodes.values() if node.modem is not None] == [0, 0, 0]
+
+
 def test_without_an_end_it_runs_until_it_is_stopped() -> None:
     assert not scenario().ends
     assert scenario(duration="5 s").ends
@@ -174,6 +186,14 @@ def test_without_an_end_it_runs_until_it_is_stopped() -> None:
         ({"fragments": "yes"}, "has no effect without an acoustic channel"),
         ({"lost_after": "1 s"}, "has no effect without discovery: linked"),
         ({"network": {"acoustic": {"modem": "s2c"}}}, "has no place, and sound needs one"),
+        (modems({"unet": 1101}, water=False), "nodes.a.modem: needs water; network: {acoustic: {queue: 10}}"),
+        (modems({}), "nodes.a.modem: has one language; modem: {unet: 1101}"),
+        (modems({"unet": 1101, "evologics": 9200}), "nodes.a.modem: has one language"),
+        (modems({"unet": 1101}, {"evologics": 1101}), "nodes.b.modem: a has 1101, too; give it another"),
+        (modems({"micromodem": "/tmp/tty"}, {"micromodem": "/tmp/tty"}), "nodes.b.modem: a has /tmp/tty, too"),
+        (modems({"unet": 65536}), "nodes.a.modem.unet"),
+        (modems({"uneet": 1101}), "nodes.a.modem.uneet"),
+        ({"network": {"acoustic": {"modem": "s2c", "queue": 0}}}, "network.acoustic.queue"),
         ({"nemesis": {"mode": "swarm", "pick": ["partition", "kill"]}}, "concerns vehicles of ours"),
         ({"nodes": {**NODES, "b": {"listen": "tcp/127.0.0.1:1"}}}, "a has the address tcp/127.0.0.1:1, too"),
         ({"nodes": {**NODES, "b": {"listen": "127.0.0.1:1"}}}, "expected an address of zenoh"),
@@ -200,6 +220,7 @@ def test_without_an_end_it_runs_until_it_is_stopped() -> None:
             )
         ),
         ({"graph": {"edges": ["a-1->b"]}}, "there is no node a-1"),
+        ({"nodes": {"a": None}}, "nodes: must have 2 or more entries, got 1"),
         ({"graph": {"edges": ["a.1->b"]}}, "there is no node a.1"),
         ({"graph": {"edges": ["b->a."]}}, "expected an edge between two nodes"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "e:9100"}}}}, "there is no other node e"),

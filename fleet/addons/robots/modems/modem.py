@@ -88,7 +88,7 @@ class ModemCore:
 
     # The relay's thread.
 
-    def listen(self) -> None:
+    def listen(self) -> str:
         """See `ModemEndpoint`."""
         from pathlib import Path
 
@@ -96,8 +96,9 @@ class ModemCore:
         self.line_port = LinePort(self.language, self._tick)
         if self._terminal:
             self.line_port.open_terminal(Path(self._terminal))
-        else:
-            self.line_port.listen(*self._where)
+            return self._terminal
+        self.line_port.listen(*self._where)
+        return str(self.line_port.port)
 
     def begin(self, sea: Sea) -> None:
         """See `ModemEndpoint`."""

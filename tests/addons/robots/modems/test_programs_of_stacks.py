@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from free_ports import free_port
 from stacks import Stack
 from waiting import wait_for
 
@@ -25,11 +24,10 @@ for line in modem:
 
 def test_a_modem_answers_programs_that_get_ready(tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(PROGRAM, "utf-8")
-    ports = {"a": free_port(), "b": free_port()}
-    nodes = {name: {"modem": {"evologics": port}, "place": f"{port % 7} 0 10 m"} for name, port in ports.items()}
+    nodes = {name: {"modem": {"evologics": 0}, "place": f"{north} 0 10 m"} for north, name in enumerate("ab")}
     programs = {
-        name: {"run": [sys.executable, "program.py", str(port), word], "ready": {"line": "address"}}
-        for (name, port), word in zip(ports.items(), ("sends", "hears"), strict=True)
+        name: {"run": [sys.executable, "program.py", "{modem}", word], "ready": {"line": "address"}}
+        for name, word in (("a", "sends"), ("b", "hears"))
     }
     water = {"acoustic": {"modem": "s2c", "backoff": "10 ms", "queue": 4}}
     with Stack(tmp_path, "--trust", nodes=nodes, network=water, programs=programs, begin="100 ms").begun() as stack:

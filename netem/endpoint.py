@@ -13,13 +13,15 @@ from netem.cause import Cause
 from netem.modem import Modem
 
 EVERYBODY = 0  # the address of a broadcast
+MOST_ADDRESS = 255
 
 
 class ModemRequest(NamedTuple):
     """A payload that a program gives its modem."""
 
     robot: int
-    to: int | None  # the robot that it is for; None: all
+    src: int  # addresses: its own, and that of the modem that it is for, which the channel does not look at
+    to: int
     what: int  # protocol number
     payload: bytes
     tag: Any  # what the endpoint calls it
@@ -34,10 +36,10 @@ class SentFrame(NamedTuple):
 
 
 class HeardFrame(NamedTuple):
-    """A payload has arrived whole."""
+    """A payload has arrived whole, whoever it is for."""
 
-    src: int
-    to: int | None
+    src: int  # addresses
+    to: int
     what: int
     payload: bytes
     sent_ns: int  # when its transmission began
@@ -61,8 +63,8 @@ class Sea(NamedTuple):
     access_s: float  # the longest that a free modem waits for its turn to talk
     sound_speed: float  # m/s
     begin_ns: int  # when the modems were switched on, of CLOCK_MONOTONIC: t = 0, or before programs get ready
-    numbers: tuple[int, ...]  # of all robots: their addresses
-    names: tuple[str, ...]
+    name: str  # of its robot
+    addresses: dict[str, int]  # of all modems at the beginning, by name of the robot
     send: Callable[[ModemRequest], None]
     place: Callable[[], tuple[float, ...]]  # north, east, down [m]
     move: Callable[[tuple[float, ...]], None]
@@ -77,6 +79,7 @@ class ModemEndpoint(Protocol):
     """A modem that programs of one robot open. The thread of the relay calls it, and must not be held up."""
 
     number: int  # of its robot
+    address: int
 
     def listen(self) -> str:
         """Open its port. Returns the port, or the path of its terminal. Raises BusError: it cannot be opened."""

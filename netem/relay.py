@@ -395,7 +395,7 @@ class Relay:
         processing_ns = 0 if acoustic is None else round(acoustic.modem_of(due.dst).processing * 1e9)
         sent_ns, airtime_ns = self._begun.get(due.message.number, (end_ns, 0))
         begin_ns = end_ns - processing_ns - airtime_ns
-        return HeardFrame(packet.src, request.to, request.what, due.payload, sent_ns, begin_ns, end_ns)
+        return HeardFrame(request.src, request.to, request.what, due.payload, sent_ns, begin_ns, end_ns)
 
     def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""

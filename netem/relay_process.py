@@ -193,8 +193,10 @@ class RelayProcess:
         acoustic = self._setup.config.acoustic
         if acoustic is None:
             return
-        numbers, tick_s = tuple(self._setup.config.vehicles), self._setup.config.tick_ns / 1e9
-        access_s = tick_s * max(acoustic.backoff_ticks, len(numbers) * acoustic.slot_ticks)
+        robots, tick_s = self._setup.config.vehicles, self._setup.config.tick_ns / 1e9
+        access_s = tick_s * max(acoustic.backoff_ticks, len(robots) * acoustic.slot_ticks)
+        names = {access.number: access.name for access in self._setup.robots}
+        addresses = {names[i]: modem.address for i, modem in self._modems.items()}
         for i, modem in self._modems.items():
 
             def place(i: int = i) -> tuple[float, ...]:
@@ -204,10 +206,9 @@ class RelayProcess:
                 self._queue.put(_Moved(i, to))
 
             longest = acoustic.longest(self._setup.config.tick_ns, i) - self._setup.header
-            names = tuple(access.name for access in self._setup.robots)
             modem.begin(
-                Sea(acoustic.modem_of(i), longest, acoustic.buffer, access_s, acoustic.sound_speed, begin_ns, numbers,
-                    names, self._queue.put, place, move)
+                Sea(acoustic.modem_of(i), longest, acoustic.buffer, access_s, acoustic.sound_speed, begin_ns,
+                    names[i], addresses, self._queue.put, place, move)
             )  # fmt: skip
 
     def _serve(self) -> None:
@@ -265,9 +266,9 @@ class RelayProcess:
                     if watched.robot == port.src and watched.key == key:
                         self._watched.append(WatchedMessage(which, at_ns, key, payload))
                 self._send_message(RobotMessage(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
-            case ModemRequest(src, to, what, payload):
-                key = f"{MODEM}/{what}"
-                self._send_message(RobotMessage(src, MODEM, key, payload, monotonic_ns(), item, to))
+            case ModemRequest(robot):
+                key = f"{MODEM}/{item.what}"
+                self._send_message(RobotMessage(robot, MODEM, key, item.payload, monotonic_ns(), item))
             case _Moved(number, place):
                 self._relay.places[number] = place
             case WatchedMessage():

@@ -49,9 +49,9 @@ def lines(
 def _of(node: Node, found: str, opened: str) -> Iterator[str]:
     if (modem := node.modem) is not None:
         where = opened or modem.where or "a free port, which fleet netem tells"
-        if modem.unet is not None:
+        if modem.language == "unet":
             yield f"modem of UnetStack: UnetSocket('{modem.host}', {where})"
-        elif modem.evologics is not None:
+        elif modem.language == "evologics":
             yield f"modem of EvoLogics (experimental): TCP {modem.host}:{where}"
         else:
             yield f"Micro-Modem: {where if isinstance(modem.micromodem, str) else f'TCP {modem.host}:{where}'}"

@@ -25,6 +25,7 @@ class Listener:
     """A modem that keeps what it is told; times in ms after the begin."""
 
     number: int
+    address: int = 0
     told: list[tuple[Any, ...]] = field(default_factory=list)
     remark: str = ""
 
@@ -44,7 +45,7 @@ class Listener:
         self.told.append(("dropped", tag, cause))
 
     def heard(self, frame: HeardFrame) -> None:
-        self.told.append(("heard", frame.payload, ms(frame.sent_ns), ms(frame.begin_ns)))
+        self.told.append(("heard", frame.src, frame.to, frame.payload, ms(frame.sent_ns), ms(frame.begin_ns)))
 
     def reached(self, sound: Sound) -> None:
         self.told.append(("reached", ms(sound.begin_ns), ms(sound.end_ns)))
@@ -57,7 +58,7 @@ def ms(at_ns: int) -> float:
     return (at_ns - BEGIN_NS) / 1e6
 
 
-def told(*sent: tuple[int, int | None, bytes, float], faults: tuple[NetFault, ...] = ()) -> dict[int, list[Any]]:
+def told(*sent: tuple[int, int, bytes, float], faults: tuple[NetFault, ...] = ()) -> dict[int, list[Any]]:
     """What three modems learn if these payloads are given to them: (modem, receiver, payload, time [ms])."""
     acoustic = AcousticConfig(QUICK, buffer=2, refuses=True, sound_speed=1500.0)
     config = NetemConfig(
@@ -72,19 +73,20 @@ def told(*sent: tuple[int, int | None, bytes, float], faults: tuple[NetFault, ..
         at_ns = BEGIN_NS + tick * TICK_NS
         while waiting and waiting[0][3] <= ms(at_ns):
             src, to, payload, _ = waiting.pop(0)
-            relay.take(RobotMessage(src, MODEM, "modem/0", payload, at_ns, ModemRequest(src, to, 0, payload, "t"), to))
+            request = ModemRequest(src, 100 + src, to, 0, payload, "t")
+            relay.take(RobotMessage(src, MODEM, "modem/0", payload, at_ns, request))
         for due in list(relay.handed(at_ns)):
             modems[due.dst].heard(relay.frame_of(due))
             relay.settle(due, at_ns, delivered=True)
     return {i: modem.told for i, modem in modems.items()}
 
 
-def test_a_payload_is_sent_reaches_all_and_is_heard_by_whom_it_is_for() -> None:
+def test_a_payload_is_sent_reaches_all_and_is_heard_whoever_it_is_for() -> None:
     """5 bytes and the preamble are 150 ms on the air."""
     found = told((1, 2, b"hello", 50.0))
     assert found[1] == [("sent", "t", 50.0, 150)]
-    assert found[2] == [("reached", 150.0, 300.0), ("heard", b"hello", 50.0, 150.0)]
-    assert found[3] == [("reached", 250.0, 400.0)]
+    assert found[2] == [("reached", 150.0, 300.0), ("heard", 101, 2, b"hello", 50.0, 150.0)]
+    assert found[3] == [("reached", 250.0, 400.0), ("heard", 101, 2, b"hello", 50.0, 250.0)]
 
 
 def test_a_collision_is_told_where_it_is_one() -> None:

@@ -38,8 +38,8 @@ class Water:
         self.begin_ns = monotonic_ns()
         self.core = core or ModemCore(1, language)
         self.core.listen()
-        sea = Sea(MODEM, 64, 2, 0.0, SPEED, self.begin_ns, (1, 2, 3), ("auv1", "auv2", "buoy"), self.given.append,
-                  lambda: (10.0, 20.0, 5.0), self.moved.append)  # fmt: skip
+        sea = Sea(MODEM, 64, 2, 0.0, SPEED, self.begin_ns, "auv1", {"auv1": 1, "auv2": 2, "buoy": 3},
+                  self.given.append, lambda: (10.0, 20.0, 5.0), self.moved.append)  # fmt: skip
         self.core.begin(sea)
 
     @property
@@ -64,6 +64,6 @@ class Water:
     def at(self, s: float) -> int:
         return self.begin_ns + round(s * 1e9)
 
-    def brings(self, src: int, payload: bytes, *, to: int | None = 1, what: int = 0, left: float, came: float) -> None:
+    def brings(self, src: int, payload: bytes, *, to: int = 1, what: int = 0, left: float, came: float) -> None:
         """Let a payload arrive."""
         self.core.heard(HeardFrame(src, to, what, payload, self.at(left), self.at(came), self.at(came + 0.1)))

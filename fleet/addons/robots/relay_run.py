@@ -119,14 +119,15 @@ def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
             continue
         from fleet.addons.robots.modems.evologics import EvoLogics
         from fleet.addons.robots.modems.micromodem import MicroModem
-        from fleet.addons.robots.modems.modem import ModemCore
+        from fleet.addons.robots.modems.modem import ModemCore, ModemLanguage
         from fleet.addons.robots.modems.unet import Unet
 
-        language = Unet if modem.unet is not None else EvoLogics if modem.evologics is not None else MicroModem
+        languages: dict[str, type[ModemLanguage]] = {"unet": Unet, "evologics": EvoLogics, "micromodem": MicroModem}
+        language = languages[modem.language]
         if isinstance(where := modem.where, str):
-            yield ModemCore(i, language, terminal=where)
+            yield ModemCore(i, language, terminal=where, address=modem.address)
         else:
-            yield ModemCore(i, language, where or 0, modem.host)
+            yield ModemCore(i, language, where or 0, modem.host, address=modem.address)
 
 
 class RelayRun:

@@ -10,13 +10,14 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import CONDITIONS
-from fleet.scenario.schema.nodes import TopicPlace, udp_target, without_address
+from fleet.scenario.schema.nodes import ModemPortSection, TopicPlace, udp_target, without_address
 from fleet.scenario.schema.programs import programs_of
 from fleet.scenario.schema.spec import ScenarioSpec
 from netem.parsing import nearest
 
 _OF_NODES = ("carry", "discovery", "lost_after", "header", "fragments")
 _CHECKS = frozenset({"max_age", "connected", "ledger", "middleware_loss", "punctual", "programs", "signal", "python"})
+_MOST_ADDRESS = {"unet": 255, "micromodem": 126, "evologics": 254}  # the next one of the latter two is everybody's
 _OF_PROGRAMS = ("kill", "pause")  # faults of programs that the run starts
 
 
@@ -34,8 +35,8 @@ def nodes(parts: Parts, report: Report) -> None:
     _ports(parts, report)
     _keys(parts, report)
     water, free = spec.network.acoustic is not None, without_address(spec.nodes)
-    opened: dict[int | str, str] = {}  # ports and terminals of modems, and whose they are
-    for name, node in spec.nodes.items():
+    taken: dict[tuple[str, int | str], str] = {}  # what modems have, and which node has it
+    for number, (name, node) in enumerate(spec.nodes.items(), start=1):
         if water and node.place is None:
             report.add(("nodes", name), "has no place, and sound needs one", "place: 0 0 10 m, or a topic that says it")
         if node.modem is not None and not water:
@@ -45,10 +46,8 @@ def nodes(parts: Parts, report: Report) -> None:
             report.add(
                 ("nodes", name, "modem"), "has one language", "modem: {unet: 1101}, or {micromodem: /tmp/ttyAUV1}"
             )
-        elif node.modem is not None and (where := node.modem.where) and opened.setdefault(where, name) != name:
-            report.add(
-                ("nodes", name, "modem"), f"{opened[where]} has {where}, too", "give it another, or 0: a free port"
-            )
+        elif node.modem is not None:
+            _modem(name, number, node.modem, taken, report)
         if isinstance(node.place, TopicPlace) and not (node.listen or node.connect or name in free):
             report.add(("nodes", name, "place"), "a topic needs listen or connect")
         if isinstance(node.place, TopicPlace) and not all(map(find_spec, ("rosbags", "xxhash"))):
@@ -61,6 +60,23 @@ def nodes(parts: Parts, report: Report) -> None:
         report.add(("lost_after",), "has no effect without discovery: linked", key=True)
     if spec.network.ideal:
         report.add(("network",), "links between nodes are ideal if nothing else is said", "leave network out")
+
+
+def _modem(
+    name: str, number: int, modem: ModemPortSection, taken: dict[tuple[str, int | str], str], report: Report
+) -> None:
+    """No two modems have one port, terminal or address."""
+    address, where, most = modem.address or number, modem.where, _MOST_ADDRESS[modem.language]
+    if where and taken.setdefault(("port", where), name) != name:
+        other = taken["port", where]
+        report.add(("nodes", name, "modem"), f"{other} has {where}, too", "give it another, or 0: a free port")
+    if taken.setdefault(("address", address), name) != name:
+        other = taken["address", address]
+        report.add(("nodes", name, "modem"), f"{other} has the address {address}, too", "address: N is the modem's own")
+    if address > most:
+        report.add(
+            ("nodes", name, "modem"), f"{modem.language} has addresses up to {most}, got {address}", "address: 1"
+        )
 
 
 def contents(parts: Parts, report: Report) -> None:

@@ -78,11 +78,18 @@ class ModemPortSection(Section):
     micromodem: Annotated[int, Field(ge=0, le=65535)] | str | None = None
     evologics: Annotated[int, Field(ge=0, le=65535)] | None = None  # as EvoLogics has 9200; experimental
     host: str = "127.0.0.1"  # the address that it listens on
+    address: Annotated[int, Field(ge=1, le=255)] | None = None  # in the water; None: the number of the node
+
+    @property
+    def language(self) -> str:
+        """The key that says its language."""
+        return next((name for name in ("unet", "evologics") if getattr(self, name) is not None), "micromodem")
 
     @property
     def where(self) -> int | str | None:
         """The port, or the path of the terminal."""
-        return next((one for one in (self.unet, self.evologics, self.micromodem) if one is not None), None)
+        found: int | str | None = getattr(self, self.language)
+        return found
 
 
 class Node(Section):

@@ -88,19 +88,20 @@ class EvoLogics:
                 client.state[0] = False
             case b"O":
                 client.state[0] = True
-            case b"!AR" if value is not None and (value in self._modem.sea.numbers or value == BROADCAST):
+            case b"!AR" if value is not None and 1 <= value <= BROADCAST:
                 self._remote = value
+                self._answer(client, name, OK)
+            case b"!AL" if value is not None and 1 <= value < BROADCAST:
+                self._modem.address = value
                 self._answer(client, name, OK)
             case b"!L" if value in _LEVELS:
                 self._level = value or 0  # it is kept, and changes nothing in the water
                 self._answer(client, name, OK)
-            case b"!AL" if value == self._modem.number:
-                self._answer(client, name, OK)
             case b"!AR" | b"!L" | b"!AL":
                 self._answer(client, name, b"ERROR OUT OF RANGE")
             case b"?AL" | b"?AR" | b"?L" | b"?T" | b"?AM":
-                known = {b"?AL": self._modem.number, b"?AR": self._remote, b"?L": self._level,
-                         b"?T": self._modem.travel_us, b"?AM": max(self._modem.sea.numbers)}  # fmt: skip
+                known = {b"?AL": self._modem.address, b"?AR": self._remote, b"?L": self._level,
+                         b"?T": self._modem.travel_us, b"?AM": max(self._modem.sea.addresses.values())}  # fmt: skip
                 self._answer(client, name, str(known[name]).encode())
             case b"?DI":
                 self._answer(client, name, b"PENDING" if self._waiting else b"EMPTY")
@@ -159,7 +160,7 @@ class EvoLogics:
 
     def heard(self, frame: HeardFrame, *, answered: bool) -> None:
         """See `ModemLanguage`. Levels are not known to the channel: the signal strength is 0."""
-        data, to = frame.payload, BROADCAST if frame.to is None else frame.to
+        data, to = frame.payload, frame.to or BROADCAST
         duration_us = self._modem.sea.modem.airtime_ns(len(data) + HEADER * answered) // 1000
         self._tell(b"RECVEND,%d,%d,0,100" % (self._modem.us(frame.end_ns), duration_us))
         if frame.what == _INSTANT:

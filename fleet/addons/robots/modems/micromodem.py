@@ -101,7 +101,7 @@ class MicroModem:
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
         self._modem = modem
-        self._config["SRC"] = modem.number
+        self._config["SRC"] = modem.address
         for client in modem.line_port.clients:
             self.opened(client)
 
@@ -154,8 +154,8 @@ class MicroModem:
 
     def _address(self, text: str) -> int:
         number = int(text)
-        if number not in (BROADCAST, *self._modem.sea.numbers):
-            raise WrongSentenceError(6, f"NO MODEM {number}")
+        if not 1 <= number <= BROADCAST:
+            raise WrongSentenceError(6, f"NO ADDRESS {number}")
         return number
 
     # Commands.
@@ -164,8 +164,10 @@ class MicroModem:
         name, number = values[0].upper(), int(values[1])
         if name not in self._config:
             raise WrongSentenceError(7, f"UNKNOWN PARAMETER {name:.16}")
-        if name != "SRC":  # which is the number of its node
-            self._config[name] = number
+        if name == "SRC" and not 1 <= number < BROADCAST:
+            raise WrongSentenceError(6, f"NO ADDRESS {number}")
+        self._config[name] = number
+        self._modem.address = self._config["SRC"]
         self._say("CACFG", name, self._config[name])
 
     def _query(self, values: list[str]) -> None:
@@ -192,7 +194,7 @@ class MicroModem:
         if len(data) != 2 or int.from_bytes(data) > 0x1FFF:
             raise WrongSentenceError(8, "A MINI PACKET HAS 13 BITS")
         self._submit(Job(data, _to(to), _MINI, self._begins(2)))
-        self._say("CAMUC", self._modem.number, to, data.hex().upper())
+        self._say("CAMUC", self._modem.address, to, data.hex().upper())
 
     def _ping(self, values: list[str]) -> None:
         to = self._address(values[1])
@@ -201,15 +203,15 @@ class MicroModem:
             if range_m is None:
                 self._say("CAMSG", "PACKET_TIMEOUT", 0)
             else:
-                self._say("CAMPR", to, self._modem.number, f"{range_m / self._modem.sea.sound_speed:.4f}")
+                self._say("CAMPR", to, self._modem.address, f"{range_m / self._modem.sea.sound_speed:.4f}")
 
         if why := self._modem.range_to(to, measured):
             raise WrongSentenceError(5, why.upper())
-        self._say("CAMPC", self._modem.number, to)
+        self._say("CAMPC", self._modem.address, to)
 
     def _cycle(self, values: list[str]) -> None:
         _, src, dst, rate, answered, count = map(int, values[:6])
-        if src != self._modem.number:
+        if src != self._modem.address:
             raise WrongSentenceError(9, "ONLY DOWNLINKS ARE ANSWERED")
         if rate not in RATES or not 1 <= count <= RATES[rate].frames:
             raise WrongSentenceError(10, f"RATE {rate} HAS NO {count} FRAMES")
@@ -224,7 +226,7 @@ class MicroModem:
         packet.asked += 1
         number = packet.asked
         size = min(RATES[packet.rate].size, self._modem.sea.mtu - _HEAD)
-        self._say("CADRQ", self._clock(), self._modem.number, packet.to, int(packet.answered), size, number)
+        self._say("CADRQ", self._clock(), self._modem.address, packet.to, int(packet.answered), size, number)
 
         def late() -> None:
             if self._packet is packet and len(packet.frames) < number:
@@ -241,7 +243,7 @@ class MicroModem:
             raise WrongSentenceError(12, f"{len(data)} BYTES ARE TOO MANY FOR A FRAME")
         packet.answered |= bool(int(values[2]))
         packet.frames.append(data)
-        self._say("CATXD", self._modem.number, packet.to, int(packet.answered), len(data))
+        self._say("CATXD", self._modem.address, packet.to, int(packet.answered), len(data))
         if len(packet.frames) < packet.count:
             self._ask_for_data()
         else:
@@ -294,13 +296,13 @@ class MicroModem:
 
     def heard(self, frame: HeardFrame, *, answered: bool) -> None:
         """See `ModemLanguage`."""
-        to = BROADCAST if frame.to is None else frame.to
+        to = frame.to or BROADCAST
         if frame.what == _MINI:
             self._say("CAMUA", frame.src, to, frame.payload.hex().upper())
         elif frame.what == _ANSWER and len(frame.payload) == 1:
             for number in range(1, 9):
                 if frame.payload[0] & 1 << (number - 1):
-                    self._say("CAACK", frame.src, self._modem.number, number, 1)
+                    self._say("CAACK", frame.src, self._modem.address, number, 1)
         elif frame.what == _FRAME and len(frame.payload) >= _HEAD:
             self._hears_frame(frame, to)
 
@@ -340,14 +342,14 @@ class MicroModem:
             )
             self._say("CARDP", src, to, coming.rate, coming.flags & _WANTS_ANSWER, 0, told)
         self._statistics(0, coming.rate, src, to, coming.count, coming.count - len(coming.frames), at_ns)
-        if coming.flags & _WANTS_ANSWER and to == self._modem.number:
+        if coming.flags & _WANTS_ANSWER and to == self._modem.address:
             bits = sum(1 << (number - 1) for number in coming.frames)
             self._modem.submit(Job(bytes((bits & 255,)), src, _ANSWER))
 
     def spoiled(self, cause: Cause, at_ns: int) -> None:
         """See `ModemLanguage`."""
         self._say("CAMSG", "BAD_CRC", 1)
-        self._statistics(1, 0, 0, self._modem.number, 1, 1, at_ns)
+        self._statistics(1, 0, 0, self._modem.address, 1, 1, at_ns)
 
     def _statistics(self, mode: int, rate: int, src: int, dst: int, frames: int, bad: int, at_ns: int) -> None:
         """CACST of version 6: fields that the channel does not know are 0, and the noise -100."""

@@ -27,7 +27,7 @@ from typing import Any, Literal, Protocol
 from fleet.addons.robots.modems.delivery import Deliveries, Job
 from fleet.addons.robots.modems.line_port import LinePort, Translator
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, HeardFrame, ModemRequest, Sea, SentFrame, Sound
+from netem.endpoint import EVERYBODY, MOST_ADDRESS, HeardFrame, ModemRequest, Sea, SentFrame, Sound
 
 RANGING = 1  # the protocol number of requests and answers of ranging, as UnetStack has it
 _ANSWER = Struct("<q")  # when the request had come [ns]
@@ -64,17 +64,25 @@ class ModemCore:
     """A modem endpoint in any language. It is handed to the process of the relay before it has begun."""
 
     def __init__(
-        self, number: int, make: Callable[[], ModemLanguage], port: int = 0, host: str = "127.0.0.1", terminal: str = ""
+        self,
+        number: int,
+        make: Callable[[], ModemLanguage],
+        port: int = 0,
+        host: str = "127.0.0.1",
+        terminal: str = "",
+        address: int | None = None,
     ) -> None:
         """Prepare it; nothing is opened.
 
         Args:
-            number: of its robot, which is its address.
+            number: of its robot.
             make: makes its language.
             port: on which it listens; 0: any.
             host: of the port; 127.0.0.1 is seen by this machine alone.
             terminal: the path of a pseudo terminal, in place of a port; empty: there is none.
+            address: in the water, which programs may change; None: the number.
         """
+        self.address = address or number
         self.number, self._make, self._where, self._terminal = number, make, (host, port), terminal
         self.sea: Sea = None  # type: ignore[assignment]  # `begin` sets it, before anything asks
         self._waiting: deque[Job] = deque()
@@ -167,8 +175,8 @@ class ModemCore:
         """Take a payload for transmission. Returns why it cannot be taken; empty: it waits, or is on its way."""
         if len(job.payload) > self.sea.mtu:
             return f"{len(job.payload)} bytes are more than the MTU of {self.sea.mtu}"
-        if job.to != EVERYBODY and job.to not in self.sea.numbers:
-            return f"there is no node with the address {job.to}"
+        if not EVERYBODY <= job.to <= MOST_ADDRESS:
+            return f"there is no address {job.to}: they are 1 to {MOST_ADDRESS}"
         if len(self._waiting) >= self.sea.queue:
             self._refused += 1
             return "the queue is full"
@@ -216,8 +224,7 @@ class ModemCore:
     def _go_on(self) -> None:
         if self._now is None and self._waiting:
             job = self._now = self._waiting.popleft()
-            to = None if job.to == EVERYBODY else job.to
-            self.sea.send(ModemRequest(self.number, to, job.what, job.payload, id(job)))
+            self.sea.send(ModemRequest(self.number, self.address, job.to, job.what, job.payload, id(job)))
 
     def _has_sent(self, frame: SentFrame) -> None:
         job = self._now
@@ -241,6 +248,8 @@ class ModemCore:
             self.language.begins(sound)
 
     def _hears(self, frame: HeardFrame) -> None:
+        if frame.to not in (EVERYBODY, self.address):
+            return
         self.travel_us = (frame.begin_ns - frame.sent_ns) // 1000
         if self._deliveries is not None and frame.what == self.language.link:
             if (carried := self._deliveries.heard(frame)) is not None:

@@ -17,7 +17,7 @@ from fleet.addons.robots.modems.delivery import HEADER, Job
 from fleet.addons.robots.modems.line_port import Client
 from fleet.addons.robots.modems.modem import ModemCore
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
+from netem.endpoint import EVERYBODY, MOST_ADDRESS, HeardFrame, SentFrame, Sound
 
 _UNET = "org.arl.unet"
 _SERVICE = f"{_UNET}.Services."
@@ -35,6 +35,8 @@ SERVICES = {
 }
 AGENTS = (NODE, ADDRESSES, PHYSICAL, RANGER, LINK)
 CONTROL, DATA = 1, 2  # types of frames, and the indices of their parameters
+_SETTABLE = {(NODE, "location"), (NODE, "address")}
+_FARTHEST_M = 1e7  # from the origin
 _MOST_TRIES = 3  # of the link, where the modem itself does not acknowledge
 # fjagepy 2.2 drops an answer that comes before its own thread waits for it, and raises KeyError. A container in Java is
 # slower than that, and so are we.
@@ -49,13 +51,11 @@ class Unet:
 
     def __init__(self) -> None:
         self._numbers = count(1)
-        self._name = ""
         self._location: list[float] | None = None  # east, north, up [m]; None: the client has set none
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
         self._modem = modem
-        self._name = modem.sea.names[modem.number - 1]
 
     # Clients.
 
@@ -148,9 +148,9 @@ class Unet:
         reply.perform("AGREE")
 
     def _resolve(self, reply: _Reply, data: dict[str, Any]) -> None:
-        names = self._modem.sea.names
-        if (name := str(data.get("name"))) in names:
-            address = self._modem.sea.numbers[names.index(name)]
+        addresses = self._modem.sea.addresses
+        if (name := str(data.get("name"))) in addresses:
+            address = self._modem.address if name == self._modem.sea.name else addresses[name]
             reply.tell(f"{_UNET}.addr.AddressResolutionRsp", address=address, name=name)
         else:
             reply.perform("FAILURE")
@@ -206,7 +206,7 @@ class Unet:
             if "value" in one and one["value"] is not None:
                 self._set(reply.agent, name, one["value"])
                 values = self._values(reply.agent, -1 if index is None else index)
-        readonly = [name for name in values if (reply.agent, name) != (NODE, "location")]
+        readonly = [name for name in values if (reply.agent, name) not in _SETTABLE]
         names = [str(one["param"]) for one in asked] or list(values)  # with the package before them, as they were asked
         found = {name: values.get(name.rpartition(".")[2]) for name in names}
         first = names[0] if asked else None
@@ -221,7 +221,7 @@ class Unet:
         if agent == NODE:
             north, east, down = sea.place()[:3]
             place = self._location or [east, north, -down]
-            return {"address": modem.number, "nodeName": self._name, "addressSize": 8, "location": place,
+            return {"address": modem.address, "nodeName": sea.name, "addressSize": 8, "location": place,
                     "origin": [None, None], "mobility": False}  # fmt: skip
         if agent == PHYSICAL:
             rate = 8 * sea.mtu / (sea.modem.airtime_ns(sea.mtu) / 1e9)
@@ -236,14 +236,15 @@ class Unet:
         return {}
 
     def _set(self, agent: str, name: str, value: Any) -> None:
-        if (agent, name) != (NODE, "location") or not isinstance(value, list) or len(value) != 3:
-            return
-        with suppress(TypeError, ValueError):
-            east, north, up = map(float, value)
-            self._location = [east, north, up]
+        if (agent, name) == (NODE, "address") and EVERYBODY < (_whole(value) or 0) <= MOST_ADDRESS:
+            self._modem.address = value
+        elif (agent, name) == (NODE, "location") and (place := _place(value)) is not None:
+            east, north, up = self._location = place
             self._modem.sea.move((north, east, -up))
-            changed = {"location": self._location}
-            self._publish(f"{_UNET}.ParamChangeNtf", NODE, (PARAMETER_TOPIC,), paramValues=changed)
+        else:
+            return
+        changed = {name: self._values(NODE, -1)[name]}
+        self._publish(f"{_UNET}.ParamChangeNtf", NODE, (PARAMETER_TOPIC,), paramValues=changed)
 
     # What the water says.
 
@@ -255,7 +256,7 @@ class Unet:
         """See `ModemLanguage`."""
         data = {
             "data": {"clazz": "[B", "data": base64.b64encode(frame.payload).decode()},
-            "from": frame.src, "to": EVERYBODY if frame.to is None else frame.to, "protocol": frame.what,
+            "from": frame.src, "to": frame.to, "protocol": frame.what,
             "rxTime": self._modem.us(frame.begin_ns),
         }  # fmt: skip
         if answered:
@@ -291,6 +292,16 @@ class _Reply:
             self.tell(f"{_UNET}.RefuseRsp", perf="REFUSE", reason=why_not)
         else:
             self.perform("AGREE")
+
+
+def _place(value: Any) -> list[float] | None:
+    """Three lengths [m] that a vehicle may be at; None: it is something else."""
+    if not isinstance(value, list) or len(value) != 3:
+        return None
+    with suppress(TypeError, ValueError):
+        found = [float(length) for length in value]
+        return found if all(abs(length) <= _FARTHEST_M for length in found) else None
+    return None
 
 
 def _whole(value: Any) -> int | None:

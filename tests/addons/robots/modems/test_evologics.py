@@ -49,7 +49,9 @@ def test_settings_are_answered_in_both_modes(program: Program) -> None:
     assert program.asks(b"+++ATC\n") == b"+++ATC:2:OK\r\n"
     assert program.asks(b"AT?AR\n") == b"2\r\n"
     assert program.asks(b"AT!L3\r\n") == b"OK\r\n"
-    assert program.asks(b"AT!AR99\n") == b"ERROR OUT OF RANGE\r\n"
+    assert program.asks(b"AT!AR256\n") == b"ERROR OUT OF RANGE\r\n"
+    assert program.asks(b"AT!AL255\n") == b"ERROR OUT OF RANGE\r\n"
+    assert program.asks(b"AT!AL7\n") == b"OK\r\n" and program.asks(b"AT?AL\n") == b"7\r\n"
     assert program.asks(b"AT?XYZ\n") == b"ERROR UNKNOWN COMMAND\r\n"
     program.says(b"ATO\n")
     assert program.asks(b"+++AT?L\n") == b"+++AT?L:1:3\r\n"
@@ -88,7 +90,7 @@ def test_what_comes_is_told_and_acknowledged(program: Program, water: Water) -> 
     assert head == b"+++AT:39:RECVIM,3,3,1," and flag == b"ack"
     assert program.hears() == b"\r\n"  # the message had a line feed
     assert water.next().payload == bytes((0, 7, 35))
-    water.brings(3, b"data", what=36, to=None, left=3.0, came=3.25)
+    water.brings(3, b"data", what=36, to=0, left=3.0, came=3.25)
     assert b"RECVEND" in program.hears()
     assert program.hears().startswith(b"+++AT:41:RECV,4,3,255,") and not water.given
 

@@ -57,8 +57,12 @@ def test_configuration(program: Program) -> None:
     assert program.hears() == ["CACFG", "SRC", "1"]
     program.says("CCCFG", "TXP", 3)
     assert program.hears() == ["CACFG", "TXP", "3"]
-    program.says("CCCFG", "SRC", 9)  # the number of its node
-    assert program.hears() == ["CACFG", "SRC", "1"]
+    program.says("CCCFG", "SRC", 9)
+    assert program.hears() == ["CACFG", "SRC", "9"]
+    program.says("CCCFG", "SRC", 127)  # that is everybody's
+    assert program.hears()[-1] == "NO ADDRESS 127"
+    program.says("CCCFQ", "SRC")
+    assert program.hears() == ["CACFG", "SRC", "9"]
     program.says("CCALQ", 0)
     assert program.hears()[:2] == ["CAALQ", "0"]
     program.says("CCCLQ")
@@ -72,7 +76,7 @@ def test_configuration(program: Program) -> None:
         (b"$CCCFQ,SRC*00\r\n", "BAD CHECKSUM 00"),
         (b"CCCFQ,SRC\r\n", "NMEA sentence expected"),
         (b"$CCMPC,1\r\n", "BAD PARAMETER IN CCMPC"),
-        (b"$CCMPC,1,99\r\n", "NO MODEM 99"),
+        (b"$CCMPC,1,128\r\n", "NO ADDRESS 128"),
         (b"$CCMUC,1,2,FFFF\r\n", "13 BITS"),
         (b"$CCTXD,1,2,0,00\r\n", "NO DATA WERE ASKED FOR"),
         (b"$CCCYC,0,1,2,9,0,1\r\n", "RATE 9"),

@@ -14,7 +14,7 @@ from modem_water import LIMIT_S, SPEED, ModemClient, Water
 from waiting import wait_for
 
 from fleet.addons.robots.modems.modem import RANGING
-from fleet.addons.robots.modems.unet import DATAGRAM_TOPIC, Unet
+from fleet.addons.robots.modems.unet import DATAGRAM_TOPIC, PARAMETER_TOPIC, Unet
 from netem.cause import Cause
 from netem.endpoint import SentFrame, Sound
 
@@ -87,6 +87,32 @@ def test_parameters_that_programs_read(program: Program, water: Water) -> None:
     assert water.moved == [(4.0, 3.0, 7.0)]
 
 
+def test_an_address_may_change_and_what_is_for_others_is_not_heard(program: Program, water: Water) -> None:
+    program.say(action="wantsMessagesFor", agentIDs=[DATAGRAM_TOPIC, PARAMETER_TOPIC])
+    program.requests("org.arl.fjage.param.ParameterReq", "node", param="address", value=9)
+    kind, data = program.message()
+    assert (kind, data["paramValues"]) == ("ParamChangeNtf", {"address": 9})
+    assert program.message()[1]["value"] == 9
+    water.brings(2, b"for others", to=1, left=1.0, came=1.1)
+    water.brings(2, b"for it", to=9, left=2.0, came=2.1)
+    water.brings(2, b"for all", to=0, left=3.0, came=3.1)
+    told = [base64.b64decode(program.message()[1]["data"]["data"]) for _ in range(2)]
+    assert told == [b"for it", b"for all"]
+    program.requests(f"{UNET}.DatagramReq", "phy", to=27)  # nobody has it, which a modem cannot know
+    assert program.message()[1]["perf"] == "AGREE" and water.next()[1:3] == (9, 27)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("address", 0), ("address", 256), ("address", "9"), ("location", [1.0, 2.0]), ("location", [1.0, "x", None]),
+     ("location", [float("nan"), 0.0, 0.0]), ("location", [0.0, float("inf"), 0.0]), ("location", [1e300, 0.0, 0.0])],
+)  # fmt: skip
+def test_a_value_that_cannot_be_leaves_the_parameter(program: Program, water: Water, name: str, value: Any) -> None:
+    before = program.get("node", name)
+    program.requests("org.arl.fjage.param.ParameterReq", "node", param=name, value=value)
+    assert program.message()[1]["value"] == before and not water.moved
+
+
 def test_a_datagram_leaves_and_its_sender_is_told(program: Program, water: Water) -> None:
     program.requests(f"{UNET}.DatagramReq", "phy", to=2, protocol=32, data=[1, -1, 200])
     assert program.message()[1]["perf"] == "AGREE"
@@ -100,7 +126,7 @@ def test_a_broadcast_has_no_address_and_data_may_be_base64(program: Program, wat
     data = {"clazz": "[B", "data": base64.b64encode(b"hello").decode()}
     program.requests(f"{UNET}.phy.TxFrameReq", "phy", data=data)
     request = water.next()
-    assert (request.to, request.payload) == (None, b"hello")
+    assert (request.to, request.payload) == (0, b"hello")
 
 
 @pytest.mark.parametrize(
@@ -109,7 +135,7 @@ def test_a_broadcast_has_no_address_and_data_may_be_base64(program: Program, wat
         ({"data": [0] * 65}, "more than the MTU of 64"),
         ({"data": "text"}, "are no bytes"),
         ({"protocol": 64}, "no protocol 64"),
-        ({"to": 9}, "no node with the address 9"),
+        ({"to": 256}, "there is no address 256: they are 1 to 255"),
     ],
 )
 def test_what_cannot_be_sent_is_refused_with_a_reason(program: Program, data: dict[str, Any], reason: str) -> None:

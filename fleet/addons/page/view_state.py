@@ -223,8 +223,10 @@ class ViewState:
             "scenario": scenario.name,
             "title": scenario.title,
             "end_s": self.end_s,
+            "ends": scenario.ends,
             "vehicles": scenario.vehicles,
             "moored": bool(scenario.spec.moored),
+            "guided": scene.guided,
             "names": [scenario.vehicle_name(i) for i in range(1, scenario.vehicles + 1)],
             "links": [list(link) for link in self._numbers],
             "both_ways": [link in scene.both_ways for link in self._numbers],
@@ -237,7 +239,7 @@ class ViewState:
             "crowd": scenario.vehicles > CROWD,
             "trail_s": TRAIL_S,
             "flight": {"least_s": LEAST_FLIGHT_S, "most_s": MOST_FLIGHT_S, "stops": STOPS},
-            "leaders": [i for i, b in enumerate(scenario.b, start=1) if b and not scenario.spec.moored],
+            "leaders": [i for i, b in enumerate(scenario.b, start=1) if b and scene.guided],
             "acoustic": scenario.acoustic is not None,
             "round_s": self._round_s,
             "placed": self.placed,
@@ -253,7 +255,8 @@ class ViewState:
 
     def _label(self, i: int, state: str) -> tuple[int, str, str]:
         depth = "" if self.scenario.vehicles > MANY else depth_text(self._places[i][2])
-        return i, f"{i}  {state}" if state else f"{i}", depth
+        name = self.scenario.vehicle_name(i)
+        return i, f"{name}  {state}" if state else name, depth
 
     def frame(self) -> Row:
         t = self.at_s

@@ -62,6 +62,7 @@ class SceneModel:
         known = frozenset(self.links)
         self.both_ways = frozenset((src, dst) for src, dst in known if (dst, src) in known)
         self.diameters = [diameter(control.vehicle.m) for control in scenario.controls]  # diameters of the hulls [m]
+        self.guided = not scenario.spec.moored and not scenario.nodes  # whether vehicles of ours have places to keep
         self.navigating = [i for i in range(1, scenario.vehicles + 1) if scenario.belief(i)]
         self.changes = bool(self.navigating) or any(plan.changes for plan in scenario.plans)  # whether `moving` does
 
@@ -85,15 +86,17 @@ class SceneModel:
     @cached_property
     def standing(self) -> list[Primitive]:
         """The primitives that are painted all the time and stand still."""
-        return [*self.obstacles, self.course(0.0, self.scenario.duration_ns / 1e9)]
+        course = [self.course(0.0, self.scenario.duration_ns / 1e9)] if self.guided else []
+        return [*self.obstacles, *course]
 
     def moving(self, t: float, beliefs: Mapping[int, PlaceBelief] = NO_BELIEFS) -> list[Primitive]:
         """The primitives at a time [s] that move with the fleet, without vehicles, links and packets. `beliefs`: the
         positions that the vehicles themselves estimate.
         """
-        wanted = [(i, FramePoint(REFERENCE, *offset)) for i, offset in enumerate(self.offsets(t), start=1)]
+        offsets = enumerate(self.offsets(t), start=1) if self.guided else ()
+        wanted = [(i, FramePoint(REFERENCE, *offset)) for i, offset in offsets]
         return [
-            CrossShape(REFERENCE_POINT, FramePoint(REFERENCE), "reference"),
+            *([CrossShape(REFERENCE_POINT, FramePoint(REFERENCE), "reference")] if self.guided else []),
             *(CircleShape(f"vehicle {i}", place, i) for i, place in wanted),
             *(LineShape(f"vehicle {i}", (place, FramePoint(vehicle_frame(i)))) for i, place in wanted),
             *(one for i, belief in sorted(beliefs.items()) for one in drawn_belief(i, belief)),
@@ -109,8 +112,9 @@ class SceneModel:
         if self.scenario.vehicles <= CROWD:
             rows.append(LegendRow("packet", f"{PACKET} {ARRIVED}", "packet", "a packet on its way"))
             rows.append(LegendRow("packet", f"{PACKET} {GONE}", "late or lost", "a packet that is late or gets lost"))
-        rows.append(LegendRow("circle", "vehicle 1", "desired place", "where the vehicle should be"))
-        rows.append(LegendRow("line", COURSE, "course", "the way of the reference"))
+        if self.guided:
+            rows.append(LegendRow("circle", "vehicle 1", "desired place", "where the vehicle should be"))
+            rows.append(LegendRow("line", COURSE, "course", "the way of the reference"))
         if self.navigating:
             meaning = "where a vehicle believes it is: a cross, and the ellipse that holds it with 95 %"
             rows.append(LegendRow("area", "vehicle 1", "believed place", meaning))

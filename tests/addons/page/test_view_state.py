@@ -17,7 +17,7 @@ from small_scenario import small
 
 from fleet.addons.page.view_state import MOST_PACKETS, SAMPLE_S, ViewState
 from fleet.recorder.transforms import quaternion
-from fleet.scenario.loading import load_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 
 TURN = (radians(10.0), radians(120.0))
@@ -227,3 +227,18 @@ def test_a_moored_fleet_follows_no_reference() -> None:
     assert setup["moored"] and setup["leaders"] == []
     setup = ViewState(small()).setup()
     assert not setup["moored"] and setup["leaders"]
+
+
+def test_nodes_have_names_and_no_places_to_keep() -> None:
+    """A reference, a formation error and a star mean nothing for robots that are not ours."""
+    nodes = {name: {"place": f"{north} 0 10 m"} for north, name in enumerate(("auv1", "shore"))}
+    scenario = parse_scenario(json.dumps({"title": "A stack", "nodes": nodes}), "stack.yaml")
+    picture = ViewState(scenario)
+    setup = picture.setup()
+    assert (setup["guided"], setup["leaders"], setup["ends"]) == (False, [], False)
+    assert not setup["standing"] and not setup["moving"]
+    assert {row["name"] for row in setup["legend"]}.isdisjoint({"course", "desired place"})
+    message = FrameTransforms()
+    message.transforms.add(child_frame_id="uuv-2", translation=Vector3(x=1.0, y=0.0, z=10.0))
+    picture.transforms(0.0, message)
+    assert shown(picture)["labels"] == [[2, "shore", "10.0 m deep"]]

@@ -117,7 +117,7 @@ export class Bar {
     write(this.time, `t = ${frame.t.toFixed(1)} s`);
     const measured = this.setup.live && clock.rate ? `, ${clock.rate.toFixed(1)} x real time` : "";
     const state = clock.text.includes("x real time") && measured ? measured.slice(2) : clock.text + measured;
-    write(this.rate, `of ${this.setup.end_s.toFixed(0)} s · ${state}`);
+    write(this.rate, `${this.setup.ends ? `of ${this.setup.end_s.toFixed(0)} s` : "until it is stopped"} · ${state}`);
     write(this.waiting, [clock.waiting, clock.note, frame.slow ? "drawing is slower than the run" : ""].filter(Boolean).join(" · "));
     if (this.pause) write(this.pause, this.setup.live ? (clock.paused ? "Resume" : "Pause") : clock.paused ? "Play" : "Pause");
     for (const control of this.acting ?? []) control.disabled = clock.over;

@@ -206,7 +206,7 @@ export class Charts {
     this.picked = [...setup.charted, ""].map((name) => this.chooser(name, options({})));
     this.charts = [
       ...this.picked.slice(0, -1).map(({ chart }) => chart),
-      ...(setup.moored ? [] : [new Chart("Formation error", "m", each(1), options({ most: 0.1 }))]),
+      ...(!setup.guided ? [] : [new Chart("Formation error", "m", each(1), options({ most: 0.1 }))]),
       new Chart("Age of information", "s", each(2), options({ most: 0.5 })),
       new Chart("Packets lost", "%", () => [["#ffa94d", this.shown.map((sample) => [sample[0], 100 * sample[3] + 1e-9])]], options({ most: 10 })),
       this.picked.at(-1).chart,

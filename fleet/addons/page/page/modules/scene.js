@@ -438,8 +438,9 @@ export class Scene {
   vehicleTip(i) {
     const { errors, states } = this.now.frame;
     const error = errors[i - 1];
-    const off = this.setup.moored ? "moored" : `${error == null ? "-" : `${error.toFixed(2)} m`} off its place`;
-    return `vehicle ${i}: ${off}${states[i] ? `, ${states[i]}` : ""}`;
+    const off = this.setup.guided ? `${error == null ? "-" : `${error.toFixed(2)} m`} off its place` : this.setup.moored ? "moored" : "";
+    const name = this.setup.names[i - 1];
+    return [/^\d/.test(name) ? `vehicle ${name}` : name, [off, states[i]].filter(Boolean).join(", ")].filter(Boolean).join(": ");
   }
 
   linkTip(k) {

@@ -5,7 +5,7 @@ import { make, number, write } from "./dom.js";
 const EVERY_MS = 250;
 const SORT_MS = 1000;
 const [NUMBER, ERROR, STATE] = [0, 1, 5];
-const HEADS = ["UUV", "position error", "speed", "depth", "oldest data", "state"];
+const HEADS = ["name", "position error", "speed", "depth", "oldest data", "state"];
 
 export class VehicleTable {
   constructor(setup, { onVehicle, onColumns, latest }) {
@@ -19,7 +19,7 @@ export class VehicleTable {
     this.rows = Array.from({ length: setup.vehicles }, (_, k) => this.row(k + 1));
     this.head = make("tr");
     this.body = make("tbody", {}, ...this.rows.map((row) => row.el));
-    const table = make("table", { class: setup.moored ? "fleet-moored" : "" }, make("thead", {}, this.head), this.body);
+    const table = make("table", { class: setup.moored ? "fleet-moored" : setup.guided ? "" : "fleet-free" }, make("thead", {}, this.head), this.body);
     const add = make("input", {
       class: "fleet-signal", placeholder: "add a signal as a column ...", ariaLabel: "Signal to add as a column",
       onchange: () => {
@@ -116,7 +116,7 @@ export class VehicleTable {
       write(cells[0], number(error, 2, "m"));
       write(cells[1], number(place?.[6], 2, "m/s"));
       write(cells[2], number(place?.[3], 1, "m"));
-      write(cells[3], age == null ? "-" : `${age === Infinity ? `before ${frame.since.toFixed(1)} s` : `${age.toFixed(1)} s`}, of ${of}`);
+      write(cells[3], age == null ? "-" : `${age === Infinity ? `before ${frame.since.toFixed(1)} s` : `${age.toFixed(1)} s`}, of ${this.setup.names[of - 1]}`);
       write(cells[4], state);
       row.signals = Object.fromEntries(this.columns.map((name) => [name, this.handlers.latest(name, i)]));
       row.more.forEach((cell, k) => write(cell, shown(row.signals[this.columns[k]])));

@@ -69,7 +69,7 @@ def run(pipe: Connection, setup: Setup) -> None:
     except BusError as error:
         pipe.send_bytes(msgspec.msgpack.encode(Opened(problem=str(error))))
         return
-    pipe.send_bytes(msgspec.msgpack.encode(Opened(process.ports, process.modems)))
+    pipe.send_bytes(msgspec.msgpack.encode(Opened(process.ports, process.opened)))
     with suppress(EOFError):
         begin_ns = msgspec.msgpack.decode(pipe.recv_bytes())["at_ns"]
         gc.freeze()
@@ -89,7 +89,7 @@ class RelayProcess:
         self._sockets: dict[tuple[int, int], socket.socket] = {}
         self._senders: dict[int, tuple[Any, int]] = {}  # by robot: where its datagrams come from, and since when
         self._modems: dict[int, ModemEndpoint] = {}  # by robot
-        self.modems: dict[int, str] = {}  # by robot: where programs open it
+        self.opened: dict[int, str] = {}  # by robot: where programs open it
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
         self._said: list[LoggedMessage] = []
@@ -113,7 +113,7 @@ class RelayProcess:
                 if access.listen or access.connect:
                     self._robots[access.number] = Robot(access, setup.carry, self._inlets[access.number])
             for modem in setup.modems:
-                self.modems[modem.number] = modem.listen()
+                self.opened[modem.number] = modem.listen()
                 self._modems[modem.number] = modem
             for port in setup.ports:
                 self._sockets[port.src, port.dst] = _bound(port)

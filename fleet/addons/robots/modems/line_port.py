@@ -82,7 +82,8 @@ class LinePort:
             listening.bind((host, port))
         except OSError as error:
             listening.close()
-            raise BusError(f"cannot listen on {host}:{port} for modem clients: {error.strerror}") from None
+            why = f"cannot listen on {host}:{port} for modem clients: {error.strerror}"
+            raise BusError(f"{why}; give the modem another port, or 0 for a free one") from None
         listening.listen(16)
         listening.setblocking(False)
         self.port = listening.getsockname()[1]

@@ -78,8 +78,10 @@ class AcousticChannel:
         self._access = Access(config, config.acoustic)
         self._air = Air(config.acoustic, config.seed, config.tick_ns)
         self._receptions: list[Reception] = []  # receptions that have not ended
-        # Each transmission that has begun, with the number of its payload; None: nobody wants to know.
+        # Each transmission that has begun, with the number of its payload, and payloads (sender, number) that were lost
+        # in their modem; None: nobody wants to know.
         self.begun: list[tuple[int | None, Burst]] | None = None
+        self.unsent: list[tuple[int, int, Cause]] = []
         self._asks = config.acoustic.ranging is not None and config.acoustic.ranging.method == "two-way"
         self._ranges = make_ranges(config, self._air, links.receivers)
 
@@ -234,6 +236,8 @@ class AcousticChannel:
     def _lose_unsent(
         self, src: int, sent: QueuedPayload, tick: int, cause: Cause, receivers: Sequence[int] | None = None
     ) -> None:
+        if self.begun is not None:
+            self.unsent.append((src, sent.seq, cause))
         for dst in self._links.receivers[src] if receivers is None else receivers:
             self._transit.lose(Fate(tick, src, dst, sent.seq, 0, sent.sent_tick, tick, 0, cause, False, sent.payload))
 

@@ -35,8 +35,7 @@ PUT, DELETE, QUERY, REPLY, DATAGRAM, MODEM = ("put", "delete", "query", "reply",
 _MOST_BEGUN = 10_000  # transmissions of modems whose beginnings are remembered
 
 
-# What a sender learns of its own modem, and what a receiver's modem notices.
-_UNSENT = frozenset({Cause.QUEUE, Cause.MTU, Cause.MUTE, Cause.DEAD_SENDER})
+# What a receiver's modem notices.
 _SPOILED = frozenset({Cause.COLLISION, Cause.SNR})
 
 
@@ -93,7 +92,7 @@ class _Outbox(Transit):
         self.sizes: Counter[Link] = Counter()  # bytes under way
         self.full: set[Link] = set()  # links that have lost something because so much was under way
         self.final: list[MessageFate] = []
-        self.spoiled: list[tuple[Fate, RobotMessage]] | None = None  # losses of what modems send; None: nobody asks
+        self.spoiled: list[Fate] | None = None  # losses, for modems that programs open; None: there are none
         self.begin_ns = self.reported = 0  # nothing becomes final before this tick any more
         self._count = 0
 
@@ -135,8 +134,8 @@ class _Outbox(Transit):
     def lose(self, fate: Fate) -> None:
         part = self.now or self.named[fate.src, fate.seq]
         self.final.append(carried(fate, part, max(fate.final_tick, self.reported)))
-        if self.spoiled is not None and part.message.kind == MODEM:
-            self.spoiled.append((fate, part.message))
+        if self.spoiled is not None:
+            self.spoiled.append(fate)
 
 
 def carried(fate: Fate, part: PacketPart, final_tick: int) -> MessageFate:
@@ -372,19 +371,21 @@ class Relay:
             for i, _, travel_ns in burst.heard:
                 if i in self._modems:
                     self._modems[i].reached(Sound(at_ns + travel_ns, at_ns + travel_ns + airtime_ns))
-            if seq is None:  # an answer of a modem
+            if seq is None:  # an answer of the channel's own
                 continue
             message = self._out.named[burst.src, seq].message
             self._begun[message.number] = at_ns, airtime_ns
             if burst.src in self._modems and message.kind == MODEM:
                 self._modems[burst.src].sent(SentFrame(message.what.tag, at_ns, airtime_ns))
-        for fate, message in self._out.spoiled or ():
+        for src, seq, cause in water.unsent:
+            part = self._out.named.get((src, seq))
+            if part is not None and part.message.kind == MODEM and src in self._modems:
+                self._modems[src].dropped(part.message.what.tag, cause)
+        for fate in self._out.spoiled or ():
             at_ns = self._begin_ns + fate.final_tick * tick_ns
-            if fate.cause in _UNSENT and fate.src in self._modems:
-                self._modems[fate.src].dropped(message.what.tag, fate.cause)
-            elif fate.cause in _SPOILED and fate.dst in self._modems:
+            if fate.cause in _SPOILED and fate.dst in self._modems:
                 self._modems[fate.dst].spoiled(fate.cause, at_ns)
-        water.begun, self._out.spoiled = [], []
+        water.begun, water.unsent, self._out.spoiled = [], [], []
         while len(self._begun) > _MOST_BEGUN:
             del self._begun[next(iter(self._begun))]
 

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import Struct
 
+from netem.cause import Cause
 from netem.discovery import Discovery
 from netem.endpoint import ModemEndpoint, ModemRequest, Sea
 from netem.errors import BusError
@@ -70,13 +71,16 @@ def run(pipe: Connection, setup: Setup) -> None:
         pipe.send_bytes(msgspec.msgpack.encode(Opened(problem=str(error))))
         return
     pipe.send_bytes(msgspec.msgpack.encode(Opened(process.ports, process.opened)))
-    with suppress(EOFError):
+    try:
         begin_ns = msgspec.msgpack.decode(pipe.recv_bytes())["at_ns"]
         gc.freeze()
-        try:
-            process.serve(begin_ns)
-        except BusError as error:
-            process.fail(error)
+        process.serve(begin_ns)
+    except EOFError:
+        pass  # the console is gone
+    except BusError as error:
+        process.fail(error)
+    finally:
+        process.close_modems()  # a terminal would stay as a link to nothing
 
 
 class RelayProcess:
@@ -357,7 +361,11 @@ class RelayProcess:
 
     def _heard(self, due: DueMessage, modem: ModemEndpoint, relay: Relay) -> None:
         """Give a frame to a modem that programs open; it is there then, whether one listens or not."""
-        modem.heard(relay.frame_of(due))
+        frame = relay.frame_of(due)
+        if due.packet.corrupted:  # which the checksum of a modem tells it
+            modem.spoiled(Cause.SNR, frame.end_ns)
+        else:
+            modem.heard(frame)
         at_ns = monotonic_ns()
         self._relay.late.add(at_ns - due.due_ns)
         self._has_ended(due, at_ns, delivered=True)
@@ -521,10 +529,15 @@ class RelayProcess:
     def _close(self) -> None:
         for each in self._sockets.values():
             each.close()
-        for modem in self._modems.values():
-            modem.close()
+        self.close_modems()
         for robot in self._robots.values():
             robot.close()
+
+    def close_modems(self) -> None:
+        """Close the ports and terminals of modems."""
+        for modem in self._modems.values():
+            modem.close()
+        self._modems = {}
 
 
 def _address(host: str) -> str:

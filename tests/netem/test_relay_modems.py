@@ -58,12 +58,17 @@ def ms(at_ns: int) -> float:
     return (at_ns - BEGIN_NS) / 1e6
 
 
-def told(*sent: tuple[int, int, bytes, float], faults: tuple[NetFault, ...] = ()) -> dict[int, list[Any]]:
+def told(
+    *sent: tuple[int, int, bytes, float],
+    faults: tuple[NetFault, ...] = (),
+    links: tuple[Link, ...] = LINKS,
+    **more: Any,
+) -> dict[int, list[Any]]:
     """What three modems learn if these payloads are given to them: (modem, receiver, payload, time [ms])."""
-    acoustic = AcousticConfig(QUICK, buffer=2, refuses=True, sound_speed=1500.0)
+    acoustic = AcousticConfig(QUICK, **{"buffer": 2, "refuses": True, "sound_speed": 1500.0} | more)
     config = NetemConfig(
-        seed=1, tick_ns=TICK_NS, round_ticks=1, vehicles=(1, 2, 3), links=LINKS,
-        conditions=dict.fromkeys(LINKS, Condition()), faults=faults, acoustic=acoustic,
+        seed=1, tick_ns=TICK_NS, round_ticks=1, vehicles=(1, 2, 3), links=links,
+        conditions=dict.fromkeys(links, Condition()), faults=faults, acoustic=acoustic,
     )  # fmt: skip
     modems = {i: Listener(i) for i in config.vehicles}
     relay = Relay(config, BEGIN_NS, modems=modems)
@@ -98,7 +103,21 @@ def test_a_collision_is_told_where_it_is_one() -> None:
 def test_what_a_modem_cannot_send_is_told_to_it_alone() -> None:
     mute = NetFault("m", 0, 100, "mute", vehicles=(1,))
     found = told((1, 2, b"hello", 0.0), faults=(mute,))
-    assert {one[:1] + one[2:] for one in found[1]} == {("dropped", Cause.MUTE)} and not found[2] and not found[3]
+    assert found[1] == [("dropped", "t", Cause.MUTE)] and not found[2] and not found[3]
+
+
+def test_a_loss_in_the_modem_is_told_once_however_many_hear_it() -> None:
+    """Else a node without receivers would wait for ever, and one with two would count two losses."""
+    mute = NetFault("m", 0, 100, "mute", vehicles=(1,))
+    for links in ((), ((1, 2),), LINKS):
+        found = told((1, 2, b"hello", 0.0), faults=(mute,), links=links)
+        assert found[1] == [("dropped", "t", Cause.MUTE)]
+
+
+def test_a_payload_that_is_replaced_is_told() -> None:
+    """As in a channel with a buffer of one, where the node's other programs talk, too."""
+    found = told((1, 2, b"a" * 30, 0.0), (1, 2, b"b" * 30, 10.0), (1, 2, b"c" * 30, 20.0), refuses=False, buffer=1)
+    assert [one[0] for one in found[1]].count("sent") == 2 and ("dropped", "t", Cause.REPLACED) in found[1]
 
 
 def test_sound_passes_where_a_link_is_cut() -> None:

@@ -6,15 +6,17 @@ of the payload. A receiver takes each number once, since only its acknowledgemen
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from netem.cause import Cause
 from netem.endpoint import HeardFrame, Sea, SentFrame
 
 HEADER = 3  # bytes
+CLEARED = "cleared"
 _ACKNOWLEDGEMENT, _CARRIED = 0, 1
 _NUMBERS = 256
+_REMEMBERED = 128  # numbers of a sender that are not taken again
 _WAIT_S = 2.0  # beside travel and airtime, until an acknowledgement counts as missing
 
 
@@ -26,7 +28,7 @@ class Job:
     to: int  # an address; EVERYBODY: all
     what: int  # protocol number
     sent: Callable[[SentFrame], None] = lambda _: None
-    dropped: Callable[[Cause], None] = lambda _: None
+    dropped: Callable[[str], None] = lambda _: None  # gets the reason: a cause, or CLEARED
 
 
 @dataclass(slots=True)
@@ -35,25 +37,26 @@ class _Waiting:
 
     frame: Job
     then: Callable[[bool], None]  # learns whether it was delivered
-    tries: int  # that are left
-    tried: int = 0
+    tries: int
+    tried: int
 
 
 class Deliveries:
     """The frames of one modem that are not acknowledged yet, and the last ones that it has taken from others."""
 
     def __init__(
-        self, link: int, sea: Sea, submit: Callable[[Job], str], after: Callable[[float, Callable[[], None]], None]
+        self, link: int, sea: Sea, put: Callable[[Job], None], after: Callable[[float, Callable[[], None]], None]
     ) -> None:
-        """Begin. `link`: protocol number of the frames. `submit` takes one, as that of `ModemCore` does; `after` calls
+        """Begin. `link`: protocol number of the frames. `put` lets one wait for its transmission; `after` calls
         something after a time [s]."""
-        self._link, self._sea, self._submit, self._after = link, sea, submit, after
+        self._link, self._sea, self._put, self._after = link, sea, put, after
         self._waiting: dict[int, _Waiting] = {}  # by number
-        self._taken: dict[int, int] = {}  # by sender: the last number
+        self._taken: dict[int, deque[int]] = {}  # by sender: its last numbers
         self._last = -1
 
-    def send(self, job: Job, tries: int, then: Callable[[bool], None]) -> str:
-        """Send a payload. Returns why that cannot be; empty: `then` learns whether it was delivered."""
+    def send(self, job: Job, tries: int, then: Callable[[bool], None], submit: Callable[[Job], str]) -> str:
+        """Send a payload. `submit` takes it for the first time, or says why not. Returns that; empty: `then` learns
+        whether the payload was delivered."""
         free = (n % _NUMBERS for n in range(self._last + 1, self._last + 1 + _NUMBERS))
         number = next((n for n in free if n not in self._waiting), None)
         if number is None:
@@ -68,11 +71,17 @@ class Deliveries:
         payload = bytes((_CARRIED, number, job.what)) + job.payload
         frame = replace(job, payload=payload, what=self._link, sent=sent)
         frame.dropped = lambda _: self._late(number, one, one.tried)
-        one = _Waiting(frame, then, tries)
-        if why := self._try(one):
+        one = _Waiting(frame, then, tries, 1)
+        if why := submit(frame):
             return why
         self._last, self._waiting[number] = number, one
         return ""
+
+    def clear(self) -> None:
+        """Give up everything that waits for its acknowledgement."""
+        waiting, self._waiting = self._waiting, {}
+        for one in waiting.values():
+            one.then(False)
 
     def heard(self, frame: HeardFrame) -> HeardFrame | None:
         """Take a frame of the link. Returns what it carries; None: nothing that is new."""
@@ -83,20 +92,19 @@ class Deliveries:
             if number in self._waiting and self._waiting[number].frame.to == frame.src:
                 self._waiting.pop(number).then(True)
             return None
-        self._submit(Job(bytes((_ACKNOWLEDGEMENT, number, what)), frame.src, self._link))
-        if self._taken.get(frame.src) == number:
+        self._put(Job(bytes((_ACKNOWLEDGEMENT, number, what)), frame.src, self._link))
+        taken = self._taken.setdefault(frame.src, deque(maxlen=_REMEMBERED))
+        if number in taken:
             return None
-        self._taken[frame.src] = number
+        taken.append(number)
         return frame._replace(what=what, payload=frame.payload[HEADER:])
-
-    def _try(self, one: _Waiting) -> str:
-        one.tried += 1
-        one.tries -= 1
-        return self._submit(one.frame)
 
     def _late(self, number: int, one: _Waiting, tried: int) -> None:
         if self._waiting.get(number) is not one or tried != one.tried:
             return
-        if not one.tries or self._try(one):
+        if one.tried < one.tries:
+            one.tried += 1
+            self._put(one.frame)
+        else:
             del self._waiting[number]
             one.then(False)

@@ -12,16 +12,20 @@ import re
 
 from fleet.addons.robots.modems.delivery import HEADER, Job
 from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.modem import ModemCore
+from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
 
 BROADCAST = 255
 MOST_MESSAGE = 64  # bytes of an instant message
-_INSTANT, _BURST, _LINK = 35, 36, 37  # protocol numbers: instant messages, burst data, and what is acknowledged
+INSTANT, BURST, _LINK = (
+    FIRST_OWN + 2,
+    FIRST_OWN + 3,
+    FIRST_OWN + 4,
+)  # protocol numbers: instant messages, burst data, and what is acknowledged
 _LEVELS = range(4)  # 0 is the loudest
 _SEND = re.compile(rb"AT\*SEND(IM)?,(?:p\d+,)?(\d{1,4}),(\d{1,3}),(?:(ack|noack|force),)?", re.ASCII)
-_PLAIN = re.compile(rb"AT([?!]?[A-Z]{1,3}|\*?[A-Z]+)(\d*)", re.ASCII)
+_PLAIN = re.compile(rb"AT([?!]?[A-Z]{1,3}|\*?[A-Z]+)(\d{0,6})", re.ASCII)
 OK, BAD, NOT_HERE = b"OK", b"ERROR WRONG FORMAT", b"ERROR UNKNOWN COMMAND"
 
 
@@ -147,7 +151,7 @@ class EvoLogics:
                 self._delivered += delivered
                 self._tell(b"%b,%d,%d" % (word, self._delivered, to))
 
-        job = Job(data, address, _INSTANT if instant else _BURST, sent)
+        job = Job(data, address, INSTANT if instant else BURST, sent)
         answered &= address != EVERYBODY
         if self._modem.deliver(job, 1, ends) if answered else self._modem.submit(job):
             return b"BUSY DELIVERING" if self._modem.waits else b"ERROR OUT OF RANGE"
@@ -163,10 +167,10 @@ class EvoLogics:
         data, to = frame.payload, frame.to or BROADCAST
         duration_us = self._modem.sea.modem.airtime_ns(len(data) + HEADER * answered) // 1000
         self._tell(b"RECVEND,%d,%d,0,100" % (self._modem.us(frame.end_ns), duration_us))
-        if frame.what == _INSTANT:
+        if frame.what == INSTANT:
             flag = b"ack" if answered else b"noack"
             self._tell(b"RECVIM,%d,%d,%d,%b,%d,0,100,0.0000,%b" % (len(data), frame.src, to, flag, duration_us, data))
-        elif frame.what == _BURST:
+        elif frame.what == BURST:
             rate = round(8e6 * len(data) / max(1, duration_us))
             head = b"RECV,%d,%d,%d,%d,0,100,%d,0.0000," % (len(data), frame.src, to, rate, self._modem.travel_us)
             self._tell(head + data)

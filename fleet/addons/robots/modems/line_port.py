@@ -1,7 +1,8 @@
 """The port of a modem: clients on TCP, or one on a pseudo terminal, who speak in lines; served by one thread.
 
 A client that sends rubbish, no line feed, or takes nothing hurts only itself: a line that is too long, and answers that
-nobody takes, end its connection.
+nobody takes, end its connection. A terminal has no connections, and stays for the next program: it forgets such a line,
+and what is said while nobody reads is lost, as on a serial line.
 """
 
 from __future__ import annotations
@@ -23,14 +24,15 @@ from netem.errors import BusError
 MOST_LINE = 1 << 20  # bytes: a fjage message with a payload in text is far shorter
 MOST_WAITING = 1 << 20  # bytes that a client leaves waiting
 MOST_CLIENTS = 64
+MOST_UNREAD = 1 << 12  # bytes on a terminal that nobody reads, beside what its kernel keeps
 _READ = 1 << 16
 
 
 class Client:
     """One program that has opened the modem."""
 
-    def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
-        self.descriptor, self.close = descriptor, close
+    def __init__(self, descriptor: int, close: Callable[[], None], *, terminal: bool = False) -> None:
+        self.descriptor, self.close, self.terminal = descriptor, close, terminal
         self.said = b""  # the beginning of a line
         self.waiting = bytearray()  # what it has not taken yet
         self.state: Any = None  # the translator's own
@@ -70,6 +72,7 @@ class LinePort:
         self._selector.register(self._woken, selectors.EVENT_READ, self._drain)
         self._thread = Thread(target=self._serve, daemon=True)
         self._over = False
+        self.failed = False  # whether something that happened has found a defect of ours
         self._link: Path | None = None
         self.clients: list[Client] = []
         self.port = 0
@@ -91,18 +94,20 @@ class LinePort:
 
     def open_terminal(self, path: Path) -> None:
         """Make a pseudo terminal that programs open by a path. Raises BusError: something else is there."""
-        ours, theirs = os.openpty()
-        tty.setraw(theirs)
         try:
-            if path.is_symlink() and not path.exists():
+            if path.is_symlink() and not path.exists():  # asked first: the new terminal may have the old one's name
                 path.unlink()  # of a run that was killed
+            if path.is_symlink() or path.exists():
+                raise BusError(f"cannot make the terminal {path}: something is there; remove it, or give another path")
+            ours, theirs = os.openpty()
+            tty.setraw(theirs)
             path.symlink_to(os.ttyname(theirs))
         except OSError as error:
             raise BusError(f"cannot make the terminal {path}: {error.strerror}") from None
         self._link = path
         os.set_blocking(ours, False)
         # `theirs` stays open: a terminal that nobody holds open gives an error to us when a client goes.
-        self._add(Client(ours, lambda: None))
+        self._add(Client(ours, lambda: None, terminal=True))
 
     def begin(self) -> None:
         """Serve from now on."""
@@ -116,7 +121,7 @@ class LinePort:
 
     def say(self, client: Client, data: bytes) -> None:
         """Send a client something, at once or when it takes it."""
-        if client not in self.clients:
+        if client not in self.clients or (client.terminal and len(client.waiting) > MOST_UNREAD):
             return
         client.waiting += data
         self._flush(client)
@@ -124,8 +129,10 @@ class LinePort:
             self.end(client)
 
     def end(self, client: Client) -> None:
-        """End a connection."""
-        if client not in self.clients:
+        """End a connection; a terminal only forgets what was said."""
+        if client.terminal:
+            client.said, client.waiting = b"", bytearray()
+        if client.terminal or client not in self.clients:
             return
         self.clients.remove(client)
         with suppress(KeyError, ValueError):
@@ -159,7 +166,15 @@ class LinePort:
             os.read(self._woken, _READ)
         with suppress(Empty):
             while True:
-                self._events.get_nowait()()
+                self.do(self._events.get_nowait())
+
+    def do(self, event: Callable[[], None]) -> None:
+        """Do something that a client did not ask for. A defect of ours ends that, and not the modem."""
+        try:
+            event()
+        except Exception:
+            traceback.print_exc()
+            self.failed = True
 
     def _accept(self, listening: socket.socket) -> None:
         try:
@@ -179,7 +194,10 @@ class LinePort:
         self._translator.opened(client)
 
     def _ready(self, client: Client) -> None:
-        self._flush(client)
+        if client in self.clients:
+            self._flush(client)
+        if client not in self.clients:  # its descriptor may be another one's by now
+            return
         try:
             data = os.read(client.descriptor, _READ)
         except BlockingIOError:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from fleet.addons.robots.modems.delivery import Job
 from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.modem import ModemCore
+from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
 from fleet.errors import FleetError
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
@@ -24,8 +24,12 @@ from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
 BROADCAST = 127
 BEGIN = datetime(2026, 1, 1)  # of the modem's clock, as of that of programs in lockstep
 _MOST_SENTENCE = 2048  # bytes
-_MINI, _FRAME, _ANSWER = 32, 33, 34  # protocol numbers: mini packets, frames of packets, acknowledgements
-_HEAD = 4  # bytes before the data of a frame: rate, flags, its number, how many
+MINI, FRAME, ANSWER = (
+    FIRST_OWN + 5,
+    FIRST_OWN + 6,
+    FIRST_OWN + 7,
+)  # protocol numbers: mini packets, frames of packets, acknowledgements
+_HEAD = 5  # bytes before the data of a frame: number of the packet, rate, flags, its own number, how many
 _WANTS_ANSWER, _SECOND = 1, 2  # flags: acknowledged; a packet of the second generation (TDP)
 DATA_TIMEOUT_S = 2.0  # for the data of a frame that was asked for
 _LATE_S = 1.0  # after the last frame could have come, a packet with missing ones is told
@@ -73,13 +77,13 @@ class _Packet:
     count: int
     frames: list[bytes] = field(default_factory=list)
     asked: int = 0  # data of so many frames were asked for
-    left: int = 0  # frames that have been transmitted
 
 
 @dataclass(slots=True)
 class _Coming:
     """A packet that comes."""
 
+    packet: int
     rate: int
     flags: int
     count: int
@@ -96,7 +100,7 @@ class MicroModem:
         self._config = dict.fromkeys(NAMES, 0) | {"CST": 1, "REV": 1}
         self._packet: _Packet | None = None
         self._coming: dict[int, _Coming] = {}  # by sender
-        self._count = 0
+        self._count = self._packets = 0
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
@@ -148,10 +152,6 @@ class MicroModem:
     def _say_to(self, client: Client, kind: str, *values: object) -> None:
         self._modem.line_port.say(client, sentence(kind, *values))
 
-    def _submit(self, job: Job) -> None:
-        if why := self._modem.submit(job):
-            raise WrongSentenceError(5, why.upper())
-
     def _address(self, text: str) -> int:
         number = int(text)
         if not 1 <= number <= BROADCAST:
@@ -193,7 +193,7 @@ class MicroModem:
         to, data = self._address(values[1]), bytes.fromhex(values[2].zfill(4))
         if len(data) != 2 or int.from_bytes(data) > 0x1FFF:
             raise WrongSentenceError(8, "A MINI PACKET HAS 13 BITS")
-        self._submit(Job(data, _to(to), _MINI, self._begins(2)))
+        self._transmit(to, MINI, [data], 2)
         self._say("CAMUC", self._modem.address, to, data.hex().upper())
 
     def _ping(self, values: list[str]) -> None:
@@ -268,26 +268,33 @@ class MicroModem:
         flags |= _WANTS_ANSWER * packet.answered
         total = sum(map(len, packet.frames))
 
+        self._packets = (self._packets + 1) % 256
+        heads = (bytes((self._packets, packet.rate, flags, n, packet.count)) for n in range(1, packet.count + 1))
+        self._transmit(packet.to, FRAME, [head + data for head, data in zip(heads, packet.frames, strict=True)], total)
+
+    def _transmit(self, to: int, what: int, payloads: list[bytes], size: int) -> None:
+        """Send some payloads, all or none, and say when the first begins and the last has ended."""
+        left, began = len(payloads), False
+
         def sent(frame: SentFrame) -> None:
-            packet.left += 1
-            if packet.left == 1:
-                self._say("CATXP", total)
-            if packet.left == packet.count:
-                self._modem.after(frame.airtime_ns / 1e9, lambda: self._say("CATXF", total))
+            nonlocal began
+            if not began:
+                began = True
+                self._say("CATXP", size)
+            ends(frame.airtime_ns / 1e9)
 
-        for number, data in enumerate(packet.frames, start=1):
-            head = bytes((packet.rate, flags, number, packet.count))
-            self._submit(Job(head + data, _to(packet.to), _FRAME, sent, self._lost))
+        def dropped(reason: str) -> None:
+            self._error(13, f"NOT TRANSMITTED: {reason}")
+            ends(0.0)
 
-    def _begins(self, size: int) -> Callable[[SentFrame], None]:
-        def sent(frame: SentFrame) -> None:
-            self._say("CATXP", size)
-            self._modem.after(frame.airtime_ns / 1e9, lambda: self._say("CATXF", size))
+        def ends(wait_s: float) -> None:
+            nonlocal left
+            left -= 1
+            if began and not left:
+                self._modem.after(wait_s, lambda: self._say("CATXF", size))
 
-        return sent
-
-    def _lost(self, cause: Cause) -> None:
-        self._error(13, f"NOT TRANSMITTED: {cause}")
+        if why := self._modem.submit(*(Job(each, _to(to), what, sent, dropped) for each in payloads)):
+            raise WrongSentenceError(5, why.upper())
 
     # What the water says.
 
@@ -297,21 +304,21 @@ class MicroModem:
     def heard(self, frame: HeardFrame, *, answered: bool) -> None:
         """See `ModemLanguage`."""
         to = frame.to or BROADCAST
-        if frame.what == _MINI:
+        if frame.what == MINI:
             self._say("CAMUA", frame.src, to, frame.payload.hex().upper())
-        elif frame.what == _ANSWER and len(frame.payload) == 1:
+        elif frame.what == ANSWER and len(frame.payload) == 1:
             for number in range(1, 9):
                 if frame.payload[0] & 1 << (number - 1):
                     self._say("CAACK", frame.src, self._modem.address, number, 1)
-        elif frame.what == _FRAME and len(frame.payload) >= _HEAD:
+        elif frame.what == FRAME and len(frame.payload) >= _HEAD:
             self._hears_frame(frame, to)
 
     def _hears_frame(self, frame: HeardFrame, to: int) -> None:
-        rate, flags, number, count = frame.payload[:_HEAD]
+        packet, rate, flags, number, count = frame.payload[:_HEAD]
         coming = self._coming.get(frame.src)
-        if coming is None or number in coming.frames or (coming.rate, coming.count) != (rate, count):
+        if coming is None or coming.packet != packet:
             self._end(frame.src, to, frame.end_ns)
-            coming = self._coming[frame.src] = _Coming(rate, flags, count)
+            coming = self._coming[frame.src] = _Coming(packet, rate, flags, count)
             if not flags & _SECOND:
                 self._say("CACYC", 1, frame.src, to, rate, flags & _WANTS_ANSWER, count)
                 self._say("CARXP", 1)
@@ -344,7 +351,7 @@ class MicroModem:
         self._statistics(0, coming.rate, src, to, coming.count, coming.count - len(coming.frames), at_ns)
         if coming.flags & _WANTS_ANSWER and to == self._modem.address:
             bits = sum(1 << (number - 1) for number in coming.frames)
-            self._modem.submit(Job(bytes((bits & 255,)), src, _ANSWER))
+            self._modem.submit(Job(bytes((bits & 255,)), src, ANSWER))
 
     def spoiled(self, cause: Cause, at_ns: int) -> None:
         """See `ModemLanguage`."""

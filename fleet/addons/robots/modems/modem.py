@@ -20,18 +20,22 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from heapq import heappop, heappush
+from itertools import cycle
 from struct import Struct
 from time import monotonic_ns
 from typing import Any, Literal, Protocol
 
-from fleet.addons.robots.modems.delivery import Deliveries, Job
+from fleet.addons.robots.modems.delivery import CLEARED, Deliveries, Job
 from fleet.addons.robots.modems.line_port import LinePort, Translator
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, MOST_ADDRESS, HeardFrame, ModemRequest, Sea, SentFrame, Sound
 
-RANGING = 1  # the protocol number of requests and answers of ranging, as UnetStack has it
-_ANSWER = Struct("<q")  # when the request had come [ns]
-_REQUEST = b"?"
+# Protocol numbers of what modems say to each other. Programs have 0 to 63, so none of theirs means that by chance.
+FIRST_OWN = 64
+RANGING = FIRST_OWN
+_REQUEST = Struct("<B")  # its number
+_ANSWER = Struct("<Bq")  # the number of the request, and when it had come [ns]
+_MOST_OWN = 64  # answers and second tries that wait at most
 SLACK_S = 5.0  # beside travel and airtime, until a range counts as missing: others may be on the air
 
 
@@ -56,6 +60,7 @@ class ModemLanguage(Translator, Protocol):
 @dataclass(slots=True)
 class _Ranging:
     to: int
+    number: int
     then: Callable[[float | None], None]  # gets the range [m]; None: no answer came
     sent_ns: int = 0
 
@@ -87,12 +92,14 @@ class ModemCore:
         self.sea: Sea = None  # type: ignore[assignment]  # `begin` sets it, before anything asks
         self._waiting: deque[Job] = deque()
         self._now: Job | None = None  # in the channel
+        self._count = 0  # of payloads that were given to the channel, of which this is the last
         self._sends_until_ns = self._hears_until_ns = self._refused = 0
         self._deliveries: Deliveries | None = None
         self.travel_us = 0  # of sound from the modem that was heard last
         self._ranging: list[_Ranging] = []
         self._alarms: list[tuple[int, int, Callable[[], None]]] = []  # a heap
         self._set = 0
+        self._requests = cycle(range(256))  # numbers of ranges
 
     # The relay's thread.
 
@@ -112,7 +119,7 @@ class ModemCore:
         """See `ModemEndpoint`."""
         self.sea = sea
         if self.language.link is not None:
-            self._deliveries = Deliveries(self.language.link, sea, self.submit, self.after)
+            self._deliveries = Deliveries(self.language.link, sea, self._put, self.after)
         self.language.begin(self)
         self.line_port.begin()
 
@@ -140,8 +147,11 @@ class ModemCore:
     @property
     def remark(self) -> str:
         """See `ModemEndpoint`."""
-        some = f"{self._refused} payload{'s' if self._refused > 1 else ''}"
-        return f"its modem refused {some}, since {self.sea.queue} were waiting" if self._refused else ""
+        said = ["its modem failed in part: the traceback is in log/relay.log"] if self.line_port.failed else []
+        if self._refused:
+            some = f"{self._refused} payload{'s' if self._refused > 1 else ''}"
+            said.append(f"its modem refused {some}, since {self.sea.queue} were waiting")
+        return "; ".join(said)
 
     def close(self) -> None:
         """See `ModemEndpoint`."""
@@ -165,44 +175,49 @@ class ModemCore:
     @property
     def now_us(self) -> int:
         """The time by its clock [us], which begins when the modems are switched on."""
-        return (monotonic_ns() - self.sea.begin_ns) // 1000
+        return self.us(monotonic_ns())
 
     def us(self, at_ns: int) -> int:
-        """A time of CLOCK_MONOTONIC [ns] as a time by its clock [us]."""
-        return (at_ns - self.sea.begin_ns) // 1000
+        """A time of CLOCK_MONOTONIC [ns] as a time by its clock [us]. It is 0 before the run begins."""
+        return max(0, at_ns - self.sea.begin_ns) // 1000
 
-    def submit(self, job: Job) -> str:
-        """Take a payload for transmission. Returns why it cannot be taken; empty: it waits, or is on its way."""
-        if len(job.payload) > self.sea.mtu:
-            return f"{len(job.payload)} bytes are more than the MTU of {self.sea.mtu}"
-        if not EVERYBODY <= job.to <= MOST_ADDRESS:
-            return f"there is no address {job.to}: they are 1 to {MOST_ADDRESS}"
-        if len(self._waiting) >= self.sea.queue:
-            self._refused += 1
+    def submit(self, *jobs: Job) -> str:
+        """Take payloads for transmission, all or none. Returns why not; empty: they wait, or are on their way."""
+        for job in jobs:
+            if len(job.payload) > self.sea.mtu:
+                return f"{len(job.payload)} bytes are more than the MTU of {self.sea.mtu}"
+            if not EVERYBODY <= job.to <= MOST_ADDRESS:
+                return f"there is no address {job.to}: they are 1 to {MOST_ADDRESS}"
+        if len(jobs) > self.sea.queue + (self._now is None) - len(self._waiting):
+            self._refused += len(jobs)
             return "the queue is full"
-        self._waiting.append(job)
-        self._go_on()
+        for job in jobs:
+            self._put(job)
         return ""
 
     def deliver(self, job: Job, tries: int, then: Callable[[bool], None]) -> str:
         """Send a payload until it is acknowledged. Returns why that cannot be; empty: `then` learns whether it was
         delivered. The language has a link."""
         assert self._deliveries is not None
-        return self._deliveries.send(job, tries, then)
+        return self._deliveries.send(job, tries, then, self.submit)
 
     def clear(self) -> None:
-        """Forget what waits; what is in the channel goes on."""
-        self._waiting.clear()
+        """Give up what waits, and what waits for its acknowledgement; what is in the channel goes on."""
+        waiting, self._waiting = self._waiting, deque()
+        if self._deliveries is not None:
+            self._deliveries.clear()
+        for job in waiting:
+            job.dropped(CLEARED)
 
     def range_to(self, to: int, then: Callable[[float | None], None]) -> str:
         """Measure the range to a modem. Returns why it cannot be tried; empty: `then` gets the range, or None."""
         air_s = 2 * self.sea.modem.airtime_ns(_ANSWER.size) / 1e9
-        ranging = _Ranging(to, then)
+        ranging = _Ranging(to, next(self._requests), then)
 
         def left(frame: SentFrame) -> None:
             ranging.sent_ns = frame.at_ns
 
-        if why := self.submit(Job(_REQUEST, to, RANGING, left)):
+        if why := self.submit(Job(_REQUEST.pack(ranging.number), to, RANGING, left)):
             return why
         self._ranging.append(ranging)
 
@@ -221,25 +236,32 @@ class ModemCore:
 
     # Events.
 
+    def _put(self, job: Job) -> None:
+        """Let a payload wait for its transmission: of the modem's own, it may be one too many."""
+        if len(self._waiting) < self.sea.queue + _MOST_OWN:
+            self._waiting.append(job)
+            self._go_on()
+
     def _go_on(self) -> None:
         if self._now is None and self._waiting:
             job = self._now = self._waiting.popleft()
-            self.sea.send(ModemRequest(self.number, self.address, job.to, job.what, job.payload, id(job)))
+            self._count += 1
+            self.sea.send(ModemRequest(self.number, self.address, job.to, job.what, job.payload, self._count))
 
     def _has_sent(self, frame: SentFrame) -> None:
         job = self._now
-        if job is None or id(job) != frame.tag:
-            return
+        if job is None or frame.tag != self._count:
+            return  # a modem with tries transmits it to each neighbour
         self._now, self._sends_until_ns = None, frame.at_ns + frame.airtime_ns
         job.sent(frame)
         self._go_on()
 
     def _was_dropped(self, tag: Any, cause: Cause) -> None:
         job = self._now
-        if job is None or id(job) != tag:
-            return  # it is told for each receiver
+        if job is None or tag != self._count:
+            return
         self._now = None
-        job.dropped(cause)
+        job.dropped(str(cause))
         self._go_on()
 
     def _hears_begin(self, sound: Sound) -> None:
@@ -256,16 +278,16 @@ class ModemCore:
                 self.language.heard(carried, answered=True)
         elif frame.what != RANGING:
             self.language.heard(frame, answered=False)
-        elif frame.payload == _REQUEST:
-            self.submit(Job(_ANSWER.pack(frame.begin_ns), frame.src, RANGING))
+        elif len(frame.payload) == _REQUEST.size:
+            self._put(Job(_ANSWER.pack(frame.payload[0], frame.begin_ns), frame.src, RANGING))
         elif len(frame.payload) == _ANSWER.size:
-            (came_ns,) = _ANSWER.unpack(frame.payload)
-            for one in [one for one in self._ranging if one.to == frame.src and one.sent_ns]:
+            number, came_ns = _ANSWER.unpack(frame.payload)
+            for one in [one for one in self._ranging if (one.to, one.number) == (frame.src, number) and one.sent_ns]:
                 self._ranging.remove(one)
                 travel_ns = (frame.begin_ns - one.sent_ns) - (frame.sent_ns - came_ns)
                 one.then(self.sea.sound_speed * travel_ns / 2e9)
 
     def _tick(self) -> float | None:
         while self._alarms and self._alarms[0][0] <= monotonic_ns():
-            heappop(self._alarms)[2]()
+            self.line_port.do(heappop(self._alarms)[2])
         return max(0.0, (self._alarms[0][0] - monotonic_ns()) / 1e9) if self._alarms else None

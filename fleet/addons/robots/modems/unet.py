@@ -15,7 +15,7 @@ from typing import Any
 
 from fleet.addons.robots.modems.delivery import HEADER, Job
 from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.modem import ModemCore
+from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, MOST_ADDRESS, HeardFrame, SentFrame, Sound
 
@@ -47,7 +47,7 @@ class Unet:
     """The node of one modem."""
 
     delimiter = b"\n"
-    link: int | None = 2  # as UnetStack has it
+    link: int | None = FIRST_OWN + 1
 
     def __init__(self) -> None:
         self._numbers = count(1)
@@ -178,16 +178,16 @@ class Unet:
             at_us, airtime_us = self._modem.us(frame.at_ns), frame.airtime_ns // 1000
             reply.tell(f"{_UNET}.phy.TxFrameNtf", txTime=at_us, type=kind, duration=airtime_us / 1000)
 
-        def dropped(cause: Cause) -> None:
-            reply.tell(f"{_UNET}.DatagramFailureNtf", to=to, reason=str(cause))
+        def dropped(reason: str) -> None:
+            reply.tell(f"{_UNET}.DatagramFailureNtf", to=to, reason=reason)
 
         def ends(delivered: bool) -> None:
             reply.tell(f"{_UNET}.Datagram{'Delivery' if delivered else 'Failure'}Ntf", to=to)
 
         if payload is None:
             reply.agree("the data are no bytes")
-        elif not 0 <= what <= 63:
-            reply.agree(f"there is no protocol {what}: they are 0 to 63")
+        elif not 0 <= what < FIRST_OWN:
+            reply.agree(f"there is no protocol {what}: they are 0 to {FIRST_OWN - 1}")
         elif reliable:
             reply.agree(self._modem.deliver(Job(payload, to, what), self._tries, ends))
         else:
@@ -199,7 +199,9 @@ class Unet:
 
     def _parameters(self, reply: _Reply, data: dict[str, Any]) -> None:
         index = _whole(data.get("index"))
-        asked = [one for one in [data, *(data.get("requests") or [])] if isinstance(one, dict) and one.get("param")]
+        more = data.get("requests")
+        asked = [one for one in [data, *(more if isinstance(more, list) else ())]
+                 if isinstance(one, dict) and one.get("param")]  # fmt: skip
         values = self._values(reply.agent, -1 if index is None else index)
         for one in asked:
             name = str(one["param"]).rpartition(".")[2]
@@ -209,11 +211,11 @@ class Unet:
         readonly = [name for name in values if (reply.agent, name) not in _SETTABLE]
         names = [str(one["param"]) for one in asked] or list(values)  # with the package before them, as they were asked
         found = {name: values.get(name.rpartition(".")[2]) for name in names}
-        first = names[0] if asked else None
+        first = next(iter(names), None)
         rest = {name: value for name, value in found.items() if name != first}
         reply.tell(
             f"{_FJAGE}.param.ParameterRsp", index=-1 if index is None else index, param=first,
-            value=found.get(first) if first else None, values=rest or None, readonly=readonly,
+            value=found.get(first or ""), values=rest or None, readonly=readonly,
         )  # fmt: skip
 
     def _values(self, agent: str, index: int) -> dict[str, Any]:
@@ -298,7 +300,7 @@ def _place(value: Any) -> list[float] | None:
     """Three lengths [m] that a vehicle may be at; None: it is something else."""
     if not isinstance(value, list) or len(value) != 3:
         return None
-    with suppress(TypeError, ValueError):
+    with suppress(TypeError, ValueError, OverflowError):
         found = [float(length) for length in value]
         return found if all(abs(length) <= _FARTHEST_M for length in found) else None
     return None
@@ -317,6 +319,6 @@ def payload_of(data: Any) -> bytes | None:
             return base64.b64decode(data.get("data") or "")
         if isinstance(data, list):
             return bytes(int(number) & 255 for number in data)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         return None
     return None

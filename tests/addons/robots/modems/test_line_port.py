@@ -84,3 +84,29 @@ def test_who_goes_in_mid_transmission_has_sent_it(water: Water, language: Callab
     with closing(ModemClient(water.port)) as client:  # the modem is free again
         client.socket.sendall(SENDS[language])  # type: ignore[index]
         assert water.next().payload == request.payload
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    what=st.integers(0, 80),
+    payload=st.one_of(st.binary(max_size=64), st.lists(st.integers(0, 9), max_size=12).map(bytes)),
+)
+def test_a_frame_of_any_content_disturbs_no_modem(
+    water: Water, language: Callable[[], ModemLanguage], what: int, payload: bytes
+) -> None:
+    water.brings(2, payload, what=what, left=1.0, came=1.1)
+    assert answers(water, language) and not water.core.remark
+
+
+def test_a_defect_of_ours_costs_one_event_and_is_told(
+    water: Water, language: Callable[[], ModemLanguage], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ValueError("a defect")
+
+    monkeypatch.setattr(water.core.language, "heard", broken)
+    water.brings(2, b"1", left=1.0, came=1.1)
+    water.core.line_port.post(lambda: water.core.after(0.0, broken))
+    assert (
+        answers(water, language) and water.core.remark == "its modem failed in part: the traceback is in log/relay.log"
+    )

@@ -8,14 +8,14 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from modem_water import ModemClient, Water
+from modem_water import LIMIT_S, ModemClient, Water
+from waiting import wait_for
 
-from fleet.addons.robots.modems.micromodem import MicroModem, checksum, sentence
+from fleet.addons.robots.modems.line_port import MOST_LINE, MOST_UNREAD
+from fleet.addons.robots.modems.micromodem import ANSWER, FRAME, MINI, MicroModem, checksum, sentence
 from fleet.addons.robots.modems.modem import RANGING, ModemCore
 from netem.cause import Cause
 from netem.errors import BusError
-
-MINI, FRAME, ANSWER = 32, 33, 34
 
 
 class Program(ModemClient):
@@ -103,7 +103,7 @@ def test_a_ping_has_the_one_way_time(program: Program, water: Water) -> None:
     program.says("CCMPC", 1, 2)
     assert program.hears() == ["CAMPC", "1", "2"]
     water.sends(at_s=1.0)
-    answer = water.at(1.4).to_bytes(8, "little")
+    answer = b"\0" + water.at(1.4).to_bytes(8, "little")
     water.brings(2, answer, what=RANGING, left=4.4, came=4.8)
     assert program.hears() == ["CAMPR", "2", "1", "0.4000"]
 
@@ -113,11 +113,11 @@ def test_a_cycle_of_two_frames_is_acknowledged(program: Program, water: Water) -
     assert program.hears() == ["CACYC", "0", "1", "2", "1", "1", "2"]
     for number, data in ((1, "AA"), (2, "BBCC")):
         kind, _, *rest = program.hears()
-        assert (kind, rest) == ("CADRQ", ["1", "2", "1", "60", str(number)])  # 64 bytes, but for our header
+        assert (kind, rest) == ("CADRQ", ["1", "2", "1", "59", str(number)])  # 64 bytes, but for our header
         program.says("CCTXD", 1, 2, 1, data)
         assert program.hears() == ["CATXD", "1", "2", "1", str(len(data) // 2)]
     first, second = water.sends(), water.sends()
-    assert (first.payload, second.payload) == (bytes((1, 1, 1, 2)) + b"\xaa", bytes((1, 1, 2, 2)) + b"\xbb\xcc")
+    assert (first.payload, second.payload) == (bytes((1, 1, 1, 1, 2)) + b"\xaa", bytes((1, 1, 1, 2, 2)) + b"\xbb\xcc")
     assert [program.hears() for _ in range(2)] == [["CATXP", "3"], ["CATXF", "3"]]
     water.brings(2, b"\x03", what=ANSWER, left=5.0, came=5.5)
     assert [program.hears() for _ in range(2)] == [["CAACK", "2", "1", "1", "1"], ["CAACK", "2", "1", "2", "1"]]
@@ -125,7 +125,7 @@ def test_a_cycle_of_two_frames_is_acknowledged(program: Program, water: Water) -
 
 def test_a_packet_that_comes(program: Program, water: Water) -> None:
     for number, data in ((1, b"\xaa"), (2, b"\xbb")):
-        water.brings(2, bytes((1, 1, number, 2)) + data, what=FRAME, left=float(number), came=number + 0.5)
+        water.brings(2, bytes((9, 1, 1, number, 2)) + data, what=FRAME, left=float(number), came=number + 0.5)
     heard = [program.hears() for _ in range(5)]
     assert heard[:4] == [
         ["CACYC", "1", "2", "1", "1", "1", "2"],
@@ -148,9 +148,9 @@ def test_a_collision_is_a_bad_frame(program: Program, water: Water) -> None:
 def test_a_packet_of_the_second_generation(program: Program, water: Water) -> None:
     program.says("CCTDP", 2, 1, 0, 0, "DEADBEEF")
     assert program.hears()[:5] == ["CATDP", "0", "1", "2", "1"]
-    assert water.sends().payload == bytes((1, 2, 1, 1)) + bytes.fromhex("DEADBEEF")
+    assert water.sends().payload == bytes((1, 1, 2, 1, 1)) + bytes.fromhex("DEADBEEF")
     assert [program.hears()[0] for _ in range(2)] == ["CATXP", "CATXF"]
-    water.brings(2, bytes((1, 2, 1, 1)) + b"\x01\x02", what=FRAME, left=1.0, came=1.5)
+    water.brings(2, bytes((1, 1, 2, 1, 1)) + b"\x01\x02", what=FRAME, left=1.0, came=1.5)
     assert program.hears() == ["CARDP", "2", "1", "1", "0", "0", "1;2;0102"]
 
 
@@ -172,3 +172,62 @@ def test_a_terminal_takes_no_place_of_something_else(tmp_path: Path) -> None:
     with pytest.raises(BusError, match="cannot make the terminal"):
         ModemCore(1, MicroModem, terminal=str(tmp_path / "tty")).listen()
     assert (tmp_path / "tty").read_text() == "mine"
+
+
+def test_frames_of_two_packets_make_no_packet(program: Program, water: Water) -> None:
+    """The second frame of the first one and the first frame of the second one were lost."""
+    water.brings(2, bytes((9, 1, 2, 1, 2)) + b"A", what=FRAME, left=1.0, came=1.5)
+    water.brings(2, bytes((10, 1, 2, 2, 2)) + b"B", what=FRAME, left=2.0, came=2.5)
+    water.brings(2, bytes((11, 1, 2, 1, 1)) + b"C", what=FRAME, left=3.0, came=3.5)
+    told = [line[-1] for line in (program.hears() for _ in range(6)) if line[0] == "CARDP"]
+    assert told == ["1;1;41;0;0;", "0;0;;1;1;42", "1;1;43"]
+
+
+def test_a_packet_that_finds_no_room_is_refused_whole(program: Program, water: Water) -> None:
+    """Two wait, and one is in the channel: a packet of four frames has no room."""
+    program.says("CCTDP", 2, 5, 0, 0, "00" * 4 * 59)
+    assert program.hears()[0] == "CATDP" and program.hears()[-1] == "THE QUEUE IS FULL"
+    assert not water.given and water.core.remark.startswith("its modem refused 4 payloads")
+    program.says("CCTDP", 2, 5, 0, 0, "00" * 3 * 59)
+    water.core.dropped(water.next().tag, Cause.MUTE)
+    for _ in range(2):
+        water.sends()
+    assert [program.hears()[0] for _ in range(4)] == ["CATDP", "CAERR", "CATXP", "CATXF"]
+
+
+def test_a_terminal_stays_for_the_next_program(tmp_path: Path) -> None:
+    """One has said a line without an end, and read nothing of what it was told."""
+    path = tmp_path / "ttyAUV"
+    water = Water(MicroModem, core=ModemCore(1, MicroModem, terminal=str(path)))
+    (terminal,) = water.core.line_port.clients
+    with open(path, "r+b", buffering=0) as bad:
+        for _ in range(MOST_LINE // 1024 + 2):
+            os.write(bad.fileno(), b"7" * 1024)
+        os.write(bad.fileno(), b"\n")
+
+        def is_full() -> bool:
+            for _ in range(100):
+                water.brings(2, b"\x0f\x00", what=MINI, left=1.0, came=1.1)
+            return len(terminal.waiting) > MOST_UNREAD
+
+        wait_for(is_full, LIMIT_S, "what nobody reads")
+        assert len(terminal.waiting) < 2 * MOST_UNREAD
+    with open(path, "r+b", buffering=0) as good:
+        os.write(good.fileno(), sentence("CCCFG", "TXP", 3))
+        said = b""
+        while b"CACFG,TXP,3" not in said:
+            said = said[-100:] + os.read(good.fileno(), 1 << 16)
+            os.write(good.fileno(), sentence("CCCFG", "TXP", 3))
+    water.core.close()
+
+
+def test_the_terminal_of_a_run_that_was_killed_is_made_anew(tmp_path: Path) -> None:
+    """Its number may be that of the new one."""
+    path = tmp_path / "ttyAUV"
+    ours, theirs = os.openpty()
+    path.symlink_to(os.ttyname(theirs))
+    os.close(ours)
+    os.close(theirs)
+    water = Water(MicroModem, core=ModemCore(1, MicroModem, terminal=str(path)))
+    assert path.exists()
+    water.core.close()

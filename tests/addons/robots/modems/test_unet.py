@@ -186,16 +186,28 @@ def test_a_range_is_half_of_the_travel_without_the_turn_around(program: Program,
     assert program.message()[1]["perf"] == "AGREE"
     request = water.sends(at_s=1.0)
     assert (request.to, request.what) == (2, RANGING)
-    answer = water.at(1.4).to_bytes(8, "little")
+    answer = request.payload + water.at(1.4).to_bytes(8, "little")
     water.brings(2, answer, what=RANGING, left=4.4, came=4.8)
     kind, data = program.message()
     assert (kind, data["to"]) == ("RangeNtf", 2) and data["range"] == pytest.approx(600.0)
 
 
+def test_two_ranges_at_a_time_are_not_mixed_up(program: Program, water: Water) -> None:
+    """A node at 600 m: the second request leaves 0.3 s later, and the answers come in turn."""
+    for _ in range(2):
+        program.requests(f"{UNET}.localization.RangeReq", "ranging", to=2)
+        assert program.message()[1]["perf"] == "AGREE"
+    asked = [water.sends(at_s=at) for at in (1.0, 1.3)]
+    for request, came, left in zip(asked, (1.4, 1.7), (2.0, 4.0), strict=True):
+        answer = request.payload + water.at(came).to_bytes(8, "little")
+        water.brings(2, answer, what=RANGING, left=left, came=left + 0.4)
+    assert [program.message()[1]["range"] for _ in range(2)] == pytest.approx([600.0, 600.0])
+
+
 def test_a_request_of_ranging_is_answered_with_when_it_came(water: Water) -> None:
-    water.brings(3, b"?", what=RANGING, left=1.0, came=2.0)
+    water.brings(3, b"\7", what=RANGING, left=1.0, came=2.0)
     request = water.next()
-    assert (request.to, request.payload) == (3, water.at(2.0).to_bytes(8, "little"))
+    assert (request.to, request.payload) == (3, b"\7" + water.at(2.0).to_bytes(8, "little"))
 
 
 def test_the_link_acknowledges_and_tries_again(program: Program, water: Water) -> None:
@@ -217,6 +229,10 @@ def test_a_frame_of_the_link_that_comes_twice_is_told_once(program: Program, wat
         assert water.sends().payload == bytes((0, 5, 32))  # its acknowledgement
     assert program.message()[0] == "DatagramNtf"
     assert program.asks("containsAgent", agentID="phy")["answer"] is True  # and no second one came before
+    for number in (6, 5):  # the acknowledgement of the older one was lost
+        water.brings(2, bytes((1, number, 32)) + b"x", what=Unet.link, left=2.0, came=2.2)
+    assert program.message()[0] == "DatagramNtf"
+    assert program.asks("containsAgent", agentID="phy")["answer"] is True
 
 
 def test_a_frame_that_is_never_acknowledged_is_sent_three_times(program: Program, water: Water) -> None:
@@ -227,6 +243,48 @@ def test_a_frame_that_is_never_acknowledged_is_sent_three_times(program: Program
         water.core.dropped(water.next().tag, Cause.MUTE)
     kind, data = program.message()
     assert (kind, data["to"]) == ("DatagramFailureNtf", 2) and not water.given
+
+
+def test_what_is_lost_twice_before_it_left_is_one_try(program: Program, water: Water) -> None:
+    """The channel may tell a loss more than once, and a modem with tries transmits once per neighbour."""
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
+    assert program.message()[1]["perf"] == "AGREE"
+    tags = []
+    for _ in range(2):
+        tags.append(water.next().tag)
+        water.core.dropped(tags[-1], Cause.MUTE)
+        water.core.dropped(tags[-1], Cause.MUTE)
+        water.core.sent(SentFrame(tags[0], water.at(1.0), 100_000_000))
+    number = water.sends().payload[1]
+    water.brings(2, bytes((0, number, 0)), what=Unet.link, left=2.0, came=2.2)
+    assert program.message()[0] == "DatagramDeliveryNtf" and len(set(tags)) == 2
+
+
+def test_what_is_cleared_is_told(program: Program, water: Water) -> None:
+    """Two wait for their acknowledgements, and a frame waits behind them. Else a program would wait for ever."""
+    for reliability in (True, True, False):
+        program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=reliability)
+        assert program.message()[1]["perf"] == "AGREE"
+    program.requests(f"{UNET}.ClearReq", "phy")
+    told = [program.message() for _ in range(4)]
+    assert [kind for kind, _ in told] == ["DatagramFailureNtf"] * 3 + ["Message"]
+    assert told[2][1]["reason"] == "cleared"
+    for _ in range(300):  # numbers of frames are free again
+        program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
+        assert program.message()[1]["perf"] == "AGREE"
+        program.requests(f"{UNET}.ClearReq", "phy")
+        assert [program.message()[0] for _ in range(2)] == ["DatagramFailureNtf", "Message"]
+
+
+def test_a_full_queue_holds_up_no_second_try_and_no_answer(program: Program, water: Water) -> None:
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
+    for _ in range(2):
+        program.requests(f"{UNET}.DatagramReq", "phy", data=[8])
+    assert [program.message()[1]["perf"] for _ in range(3)] == ["AGREE"] * 3
+    water.brings(3, b"\7", what=RANGING, left=1.0, came=2.0)
+    water.core.dropped(water.next().tag, Cause.MUTE)
+    given = [water.sends().what for _ in range(4)]
+    assert given == [0, 0, RANGING, Unet.link] and not water.core.remark
 
 
 def test_an_acknowledgement_of_another_node_delivers_nothing(program: Program, water: Water) -> None:
@@ -260,6 +318,27 @@ def test_a_modem_that_hears_something_is_busy_and_says_when_it_begins(program: P
 def test_what_is_not_understood_is_told(program: Program) -> None:
     program.requests(f"{UNET}.bb.TxBasebandSignalReq", "phy")
     assert program.message()[1]["perf"] == "NOT_UNDERSTOOD"
+
+
+def test_all_parameters_have_their_names(program: Program) -> None:
+    """A client of fjage takes the first one as the answer, and the others beside it."""
+    program.requests("org.arl.fjage.param.ParameterReq", "phy")
+    data = program.message()[1]
+    assert {data["param"], *data["values"]} == {
+        "MTU", "RTU", "busy", "time", "rxEnable", "propagationSpeed", "timestampedTxDelay",
+    }  # fmt: skip
+    assert data["param"] == "MTU" and data["value"] == 64
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [{"kind": f"{UNET}.DatagramReq", "recipient": "phy", "data": [float("inf")]},
+     {"kind": "org.arl.fjage.param.ParameterReq", "recipient": "node", "param": "location", "value": [10**400, 0, 0]},
+     {"kind": "org.arl.fjage.param.ParameterReq", "recipient": "node", "requests": 5}],
+)  # fmt: skip
+def test_an_odd_value_ends_no_connection(program: Program, odd: dict[str, Any]) -> None:
+    program.requests(**odd)
+    assert program.message() and program.asks("containsAgent", agentID="phy")["answer"] is True
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,8 @@ class AcousticSection(ModemSection):
 
     modems: dict[v.VehicleNumbers, Annotated[ModemSection, word_for("modem")]] = {}  # vehicles that carry another modem
     mac: Literal["aloha", "csma", "tdma"] = "aloha"
-    backoff: v.Time | None = None  # aloha, csma: the largest; default: aloha has its highest throughput
+    # aloha, csma: the largest; default: aloha has its highest throughput, and with a queue no wait.
+    backoff: v.Time | None = None
     slot: v.Period | None = None  # tdma
     guard: v.Time | None = None  # tdma; 100 ms
     buffer: Annotated[int, Field(ge=1, le=1000)] = 1  # payloads that wait; a new one replaces the oldest

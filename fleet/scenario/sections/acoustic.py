@@ -118,9 +118,15 @@ def turn_ns(section: RangingSection, modem: Modem) -> int:
 
 
 def backoff_ns(section: AcousticSection, modem: Modem, codec: Codec, vehicles: int) -> int:
-    """The largest back-off [ns]: from the section, or by default 2 T (2 n - 1) for payloads of the built-in agents."""
+    """The largest back-off [ns]: from the section, or by default 2 T (2 n - 1) for payloads of the built-in agents.
+
+    Programs with a queue decide themselves when they talk. So a modem starts at once, as real ones do; with csma within
+    twice the airtime of its longest payload, which is an assumption.
+    """
     if section.backoff is not None:
         return section.backoff
+    if section.queue is not None:
+        return 2 * modem.airtime_ns(modem.mtu) if section.mac == "csma" else 0
     return 2 * modem.airtime_ns(SIZES[codec]) * (2 * vehicles - 1)
 
 

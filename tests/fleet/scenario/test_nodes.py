@@ -168,6 +168,17 @@ def test_modems_may_leave_their_ports_open() -> None:
     assert [node.modem.where for node in nodes.values() if node.modem is not None] == [0, 0, 0]
 
 
+@pytest.mark.parametrize(("mac", "airtimes"), [("aloha", 0.0), ("csma", 2.0)])
+def test_a_modem_with_a_queue_does_not_keep_programs_waiting(mac: str, airtimes: float) -> None:
+    """For twenty vehicles that all send states the default is a minute, which programs of others took for a hang."""
+    sections = modems({"unet": 0}, {"unet": 0})
+    sections["network"]["acoustic"] |= {"modem": "s2c", "mac": mac}
+    acoustic = scenario(**sections).acoustic
+    assert acoustic is not None
+    longest_s = acoustic.modem.airtime_ns(acoustic.modem.mtu) / 1e9
+    assert acoustic.backoff_ticks * 0.01 == pytest.approx(airtimes * longest_s, abs=0.02)
+
+
 def test_without_an_end_it_runs_until_it_is_stopped() -> None:
     assert not scenario().ends
     assert scenario(duration="5 s").ends

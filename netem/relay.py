@@ -389,8 +389,10 @@ class Relay:
         while len(self._begun) > _MOST_BEGUN:
             del self._begun[next(iter(self._begun))]
 
-    def frame_of(self, due: DueMessage) -> HeardFrame:
-        """What a modem hears with a message that is due."""
+    def frame_of(self, due: DueMessage) -> HeardFrame | None:
+        """What a modem hears with a message that is due; None: it is damaged, which the checksum of a modem tells."""
+        if due.packet.corrupted:
+            return None
         request, packet, acoustic = due.message.what, due.packet, self.config.acoustic
         end_ns = self._begin_ns + packet.sent_tick * self.config.tick_ns + packet.delay_ns
         processing_ns = 0 if acoustic is None else round(acoustic.modem_of(due.dst).processing * 1e9)

@@ -361,9 +361,8 @@ class RelayProcess:
 
     def _heard(self, due: DueMessage, modem: ModemEndpoint, relay: Relay) -> None:
         """Give a frame to a modem that programs open; it is there then, whether one listens or not."""
-        frame = relay.frame_of(due)
-        if due.packet.corrupted:  # which the checksum of a modem tells it
-            modem.spoiled(Cause.SNR, frame.end_ns)
+        if (frame := relay.frame_of(due)) is None:
+            modem.spoiled(Cause.SNR, due.due_ns)
         else:
             modem.heard(frame)
         at_ns = monotonic_ns()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
+
+import pytest
 
 from netem.cause import Cause
 from netem.condition import Condition, Link
@@ -14,6 +16,7 @@ from netem.modem import AcousticConfig, Modem
 from netem.relay import MODEM, Relay, RobotMessage
 
 TICK_NS, BEGIN_NS = 10_000_000, 5_000_000_000
+PERFECT = Condition()
 LINKS: tuple[Link, ...] = ((1, 2), (2, 1), (2, 3), (3, 2), (1, 3), (3, 1))
 # A byte is 10 ms, and 150 m are 0.1 s.
 QUICK = Modem(800.0, 0.1, 25e3, 4e3, 190.0, 0.0, 3000.0, 6000.0, 60, 6.0, 10.0, 10.0)
@@ -62,13 +65,14 @@ def told(
     *sent: tuple[int, int, bytes, float],
     faults: tuple[NetFault, ...] = (),
     links: tuple[Link, ...] = LINKS,
+    condition: Condition = PERFECT,
     **more: Any,
 ) -> dict[int, list[Any]]:
     """What three modems learn if these payloads are given to them: (modem, receiver, payload, time [ms])."""
-    acoustic = AcousticConfig(QUICK, **{"buffer": 2, "refuses": True, "sound_speed": 1500.0} | more)
+    acoustic = AcousticConfig(**{"modem": QUICK, "buffer": 2, "refuses": True, "sound_speed": 1500.0} | more)
     config = NetemConfig(
         seed=1, tick_ns=TICK_NS, round_ticks=1, vehicles=(1, 2, 3), links=links,
-        conditions=dict.fromkeys(links, Condition()), faults=faults, acoustic=acoustic,
+        conditions=dict.fromkeys(links, condition), faults=faults, acoustic=acoustic,
     )  # fmt: skip
     modems = {i: Listener(i) for i in config.vehicles}
     relay = Relay(config, BEGIN_NS, modems=modems)
@@ -81,7 +85,8 @@ def told(
             request = ModemRequest(src, 100 + src, to, 0, payload, "t")
             relay.take(RobotMessage(src, MODEM, "modem/0", payload, at_ns, request))
         for due in list(relay.handed(at_ns)):
-            modems[due.dst].heard(relay.frame_of(due))
+            if (frame := relay.frame_of(due)) is not None:
+                modems[due.dst].heard(frame)
             relay.settle(due, at_ns, delivered=True)
     return {i: modem.told for i, modem in modems.items()}
 
@@ -118,6 +123,22 @@ def test_a_payload_that_is_replaced_is_told() -> None:
     """As in a channel with a buffer of one, where the node's other programs talk, too."""
     found = told((1, 2, b"a" * 30, 0.0), (1, 2, b"b" * 30, 10.0), (1, 2, b"c" * 30, 20.0), refuses=False, buffer=1)
     assert [one[0] for one in found[1]].count("sent") == 2 and ("dropped", "t", Cause.REPLACED) in found[1]
+
+
+def test_a_damaged_frame_is_not_heard() -> None:
+    """Its bytes would be taken for data, or for an acknowledgement."""
+    found = told((1, 2, b"hello", 0.0), condition=Condition(corrupt=1.0))
+    assert [one[0] for one in found[2]] == ["reached"]
+
+
+@pytest.mark.parametrize("more", [{"modem": replace(QUICK, tries=3, timeout=1.0, acknowledgement=1)}, {"mac": "tdma"}])
+def test_a_payload_leaves_with_any_modem_and_turn(more: dict[str, Any]) -> None:
+    """A modem with tries sends it to each neighbour, and in slots each waits for its own."""
+    turns = {"slot_ticks": 30, "guard_ns": 0} if "mac" in more else {"backoff_ticks": 30}
+    found = told((1, 2, b"hi", 0.0), (2, 3, b"ho", 0.0), **more, **turns)
+    for i, other, payload in ((1, 2, b"hi"), (2, 3, b"ho")):
+        assert found[i] and any(one[0] == "sent" for one in found[i])
+        assert any(one[0] == "heard" and one[3] == payload for one in found[other])
 
 
 def test_sound_passes_where_a_link_is_cut() -> None:

@@ -78,7 +78,7 @@ def told(
     relay = Relay(config, BEGIN_NS, modems=modems)
     relay.places.update(PLACES)
     waiting = sorted(sent, key=lambda one: one[3])
-    for tick in range(300):
+    for tick in range(800):
         at_ns = BEGIN_NS + tick * TICK_NS
         while waiting and waiting[0][3] <= ms(at_ns):
             src, to, payload, _ = waiting.pop(0)

@@ -227,10 +227,13 @@ def _last(one: Transmission) -> float:
 
 
 def _moment(on_air: Sequence[Transmission], end: float) -> tuple[float, float]:
-    """A window of some transmissions: around the first collision, or from the first transmission on."""
+    """A window of some transmissions: around the first collision, or from the first transmission on. Of a run in which
+    few talk it leaves out what is empty before the first and after the last."""
     begins = np.array([one.begin for one in on_air])
     gap = float(np.median(np.diff(begins))) if len(begins) > 1 else 0.0
     width = max(_ROUNDS * gap, 6.0 * max(_last(one) - one.begin for one in on_air[:100]))
     spoiled = [at for one in on_air for _, at, fate in one.heard if fate in (Cause.COLLISION, Cause.HALF_DUPLEX)]
-    begin = max(0.0, min((min(spoiled) if spoiled else float(begins[0])) - width / 3, end - width))
-    return begin, min(begin + width, end)
+    margin = 0.05 * min(width, end)
+    first, last = max(0.0, float(begins[0]) - margin), min(end, max(map(_last, on_air)) + margin)
+    begin = max(first, min((min(spoiled) if spoiled else first) - width / 3, last - width))
+    return begin, min(begin + width, last)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from in_process_runs import recorded
 
-from fleet.addons.pictures.channel import OVERHEARD, SENDS, lanes, timeline, transmissions
+from fleet.addons.pictures.channel import OVERHEARD, SENDS, Transmission, _moment, lanes, timeline, transmissions
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, load
 from netem.acoustic import AcousticChannel
 from netem.cause import Cause
@@ -79,3 +79,10 @@ def test_no_water_no_timeline(tmp_path: Path) -> None:
 
 def test_spans_that_overlap_have_lanes_of_their_own() -> None:
     assert lanes([(0.0, 2.0), (1.0, 3.0), (2.0, 4.0), (2.5, 5.0), (3.0, 6.0)]) == [0, 1, 0, 2, 1]
+
+
+def test_the_window_leaves_out_what_is_empty() -> None:
+    """Three transmissions in ten minutes: before, the picture began at 0."""
+    on_air = [Transmission(1, begin, 0.5, ((2, begin + 0.3, "delivered"),)) for begin in (300.0, 310.0, 320.0)]
+    begin, end = _moment(on_air, 600.0)
+    assert 280.0 < begin < 300.0 and 320.8 < end < 340.0

@@ -42,7 +42,7 @@ _SPOILED = frozenset({Cause.COLLISION, Cause.SNR})
 class MessageFate(Fate, frozen=True):
     """The fate of a packet, and the message that it belongs to."""
 
-    key: str = ""  # zenoh's, or `udp/<port>`
+    key: str = ""  # zenoh's, `udp/<port>`, or `modem/<address>/<protocol>`
     kind: str = PUT
     size: int = 0  # bytes, with the header
 

@@ -271,7 +271,7 @@ class RelayProcess:
                         self._watched.append(WatchedMessage(which, at_ns, key, payload))
                 self._send_message(RobotMessage(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
             case ModemRequest(robot):
-                key = f"{MODEM}/{item.what}"
+                key = f"{MODEM}/{item.to}/{item.what}"
                 self._send_message(RobotMessage(robot, MODEM, key, item.payload, monotonic_ns(), item))
             case _Moved(number, place):
                 self._relay.places[number] = place

@@ -98,8 +98,8 @@ RANGED = (
 )
 CARRIED = (
     *PACKET,
-    MessageField("key", "", "of the message it belongs to: zenoh's, or udp/<port>", type=STRING),
-    MessageField("kind", "", "put, delete, query, reply or datagram", type=STRING),
+    MessageField("key", "", "of its message: zenoh's, udp/<port>, or modem/<address>/<protocol>", type=STRING),
+    MessageField("kind", "", "put, delete, query, reply, datagram or modem", type=STRING),
     MessageField("size", "bytes", "of the packet with its header", type=UINT32),
 )
 # By name, the schemas that every log of a run may have.

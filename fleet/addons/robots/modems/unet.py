@@ -40,7 +40,7 @@ _FARTHEST_M = 1e7  # from the origin
 _MOST_TRIES = 3  # of the link, where the modem itself does not acknowledge
 # fjagepy 2.2 drops an answer that comes before its own thread waits for it, and raises KeyError. A container in Java is
 # slower than that, and so are we.
-ANSWER_S = 0.005
+ANSWER_S = 0.02
 
 
 class Unet:

@@ -31,6 +31,7 @@ from netem.relay_process import MOST_NOTES
 from netem.wire.messages import WorldFault
 
 BEFORE_NS = 500_000_000  # from the start of the keeper until every program has begun, where {begin_s} is told before
+COMPOSE_S = 0.05  # between two looks at the operator while docker works
 STOP_S = 3.0  # for the keeper, beside the time that programs have to stop
 _EARLY = "{begin_s}"
 _LOGS = ("keeper", "relay")  # of the run, beside those of programs
@@ -124,9 +125,16 @@ class Programs:
 
     # Before the run begins.
 
-    def start(self, addresses: Mapping[str, str], modems: Mapping[str, str]) -> None:
-        """Start the programs. `addresses`, `modems`: where they meet us, and open a modem, by node. Raises RunBroken:
-        the keeper cannot start."""
+    def start(
+        self, addresses: Mapping[str, str], modems: Mapping[str, str], meanwhile: Callable[[], None]
+    ) -> None:
+        """Start the programs. Raises RunBroken: the keeper cannot start, or docker refuses.
+
+        Args:
+            addresses: where they meet us, by node.
+            modems: where they open a modem, by node.
+            meanwhile: called again and again while docker brings containers up, which may take minutes.
+        """
         if not self.states:
             return
         after = max((state.section.ready.after or 0 for state in self.states.values()), default=0)
@@ -135,7 +143,7 @@ class Programs:
         self._planned_ns = planned_ns if uses else None
         values = [self._values_of(state, addresses, modems, planned_ns) for state in self.states.values()]
         self._composed = True  # also one that fails may have begun something
-        self._compose("up", "-d", "--wait")
+        self._compose("up", "-d", "--wait", meanwhile=meanwhile)
         try:
             self._keeper = subprocess.Popen(
                 [sys.executable, "-I", keeper.__file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -420,7 +428,7 @@ class Programs:
             self._keeper.stdin.write(json.dumps(values).encode() + b"\n")
             self._keeper.stdin.flush()
 
-    def _compose(self, *words: str) -> None:
+    def _compose(self, *words: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Bring what a compose file names up or down. Raises RunBroken: docker is not here, or refuses."""
         file = self._scenario.spec.compose
         if file is None:
@@ -428,11 +436,23 @@ class Programs:
         name = f"fleet-{self._directory.name}".lower()
         command = ["docker", "compose", "-p", name, "-f", file, *words]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+            docker = subprocess.Popen(
+                command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace"
+            )
         except FileNotFoundError:
             raise RunBroken("compose needs docker, which is not here: install it, or leave compose out") from None
-        if done.returncode and words[0] == "up":
-            raise RunBroken(f"{' '.join(map(quote, command))} failed", done.stderr.splitlines()[-12:])
+        with docker:
+            said: str | None = None
+            try:
+                while said is None:
+                    meanwhile()
+                    with suppress(subprocess.TimeoutExpired):
+                        _, said = docker.communicate(timeout=COMPOSE_S)
+            except BaseException:
+                docker.terminate()  # who ends the run waits for no download
+                raise
+        if docker.returncode and words[0] == "up":
+            raise RunBroken(f"{' '.join(map(quote, command))} failed", said.splitlines()[-12:])
 
 
 def _last_lines(file: Path) -> list[str]:

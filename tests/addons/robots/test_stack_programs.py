@@ -160,7 +160,10 @@ def test_a_run_starts_watches_kills_and_judges_its_programs(lively: LiveRun) -> 
 DOCKER = """\
 #!/bin/sh
 echo "$@" >> {log}
-case "$*" in *refused*up*) echo "no such image" >&2; exit 1;; esac
+case "$*" in
+    *refused*up*) echo "no such image" >&2; exit 1;;
+    *slow*up*) exec sleep 1000;;
+esac
 """
 
 
@@ -238,16 +241,35 @@ def test_nobody_is_left_when_the_console_is_killed(tmp_path: Path) -> None:
         run.until_nobody_is_left()
 
 
-@pytest.mark.slow
-def test_ctrl_c_while_programs_get_ready_ends_them_all(tmp_path: Path) -> None:
-    with stack(
-        tmp_path, nodes=udp("m1", "m2"), programs={"m1": {"run": "sleep 1000", "ready": {"line": "never"}}}
-    ) as run:
-        wait_for(lambda: "sleep 1000" in [" ".join(one.cmdline()) for one in run.family()], LIMIT_S, "its program")
-        run.send(signal.SIGINT)
-        run.status()
-        run.until_nobody_is_left()
-        assert "Traceback" not in run.said
+GETTING_READY: dict[str, tuple[dict[str, Any], str]] = {
+    "docker": ({"compose": "slow.yaml"}, "starting the programs"),
+    "unready": ({"programs": {"m1": {"run": "sleep 1000", "ready": {"line": "never"}}}}, "waiting for m1 to be ready"),
+    "begin": ({"begin": "1 h"}, "all programs are ready, and t = 0 comes in 3"),
+}
+
+
+@pytest.mark.parametrize("how", ["stop", pytest.param("ctrl-c", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("state", GETTING_READY)
+def test_a_run_answers_while_its_programs_get_ready_and_says_what_its_end_ends(
+    state: str, how: str, tmp_path: Path
+) -> None:
+    """Requests were answered from t = 0 on only, and so refused after five seconds; Ctrl-C said nothing."""
+    sections, waits = GETTING_READY[state]
+    program = {"programs": {"m1": {"run": "sleep 1000"}}}
+    with stack(tmp_path, nodes=udp("m1", "m2"), environment=docker(tmp_path), **program | sections) as run:
+        begun(run)
+        wait_for(lambda: waits in tell(run, "status"), LIMIT_S, waits)
+        tell(run, "inject", "down", "m1->m2")
+        run.family()
+        if how == "stop":
+            assert tell(run, "stop") == f"{run.directory.name}: stopping at t = 0.00 s\n"
+        else:
+            run.send(signal.SIGINT)
+        run.ends(130)
+        ended = "" if state == "docker" else ", and its programs with it: m1"
+        (note,) = read_result(run.directory).notes
+        assert note.startswith(f"the run ended before t = 0 ({waits}") and note.endswith(f"){ended}")
+        assert f"note {note}" in run.said
 
 
 def test_programs_of_a_strangers_file_need_the_users_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,46 +10,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import yaml
+from known_programs import Known
 
-from fleet.addons.robots.programs import Ended, Programs
+from fleet.addons.robots.programs import Ended
 from fleet.addons.robots.relay_run import RelayRun
 from fleet.errors import RunBroken
-from fleet.scenario.loading import parse_scenario
-from fleet.scenario.trust import Policy
 from netem.relay_messages import Watched, WatchedMessage
 
-NODES = {"m1": {}, "m2": {}}
 SIGNALS = {
     "x": {"line": "(?P<value>.*)"}, "n": {"message": "a/{node}", "count": "yes"}, "j": {"message": "b", "json": ""},
 }  # fmt: skip
-
-
-class Known(Programs):
-    """Keeps what it tells the keeper, and what it shows the operator."""
-
-    def __init__(self, folder: Path, **sections: Any) -> None:
-        text = yaml.safe_dump({"title": "x", "nodes": NODES, "duration": "5 s", **sections}, sort_keys=False)
-        self.shown: list[str] = []
-        scenario = parse_scenario(text, "stack.yaml", policy=Policy(stranger=""))
-        super().__init__(scenario, folder, self.shown.append)
-        self.told: list[dict[str, Any]] = []
-        self._planned_ns = None
-
-    def _tell(self, **values: Any) -> None:
-        self.told.append(values)
-
-    def say(self, at: int, **values: Any) -> None:
-        """The keeper says that something happened at a time [ns]."""
-        self._take(json.loads(json.dumps({"at": at} | values)))
-
-    def runs(self, *names: str) -> None:
-        """They were started and are ready; the run begins."""
-        for name in names:
-            self.say(0, started=name, pid=1)
-            self.say(1, ready=name)
-        self.advance(1)
-        self.begin_ns = 1000
 
 
 def one(folder: Path, **sections: Any) -> Known:

@@ -169,7 +169,7 @@ class Explanation:
         at_s = min(failed_s, log.end)
         own = any(control.agent is not None for control in self.scenario.controls)
         verdict = self.verdict
-        then = evidence(log, at_s, verdict.signals, failing, protocol=own)
+        then = evidence(log, at_s, verdict.signals, failing, protocol=own, nodes=self.scenario.nodes)
         return Why(
             self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others,
             self._differs, next((one.passed for one in self._before if one.check == verdict.check), None), begin,

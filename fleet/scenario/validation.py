@@ -8,7 +8,7 @@ it.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin
@@ -130,7 +130,7 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
     try:
         spec = ScenarioSpec.model_validate(data)
     except ValidationError as error:
-        report.problems += [_explain(root, detail) for detail in error.errors(include_url=False)]
+        report.problems += _explained(root, error.errors(include_url=False))
         spec = cast(ScenarioSpec, _Partial(ScenarioSpec, data))
     parts = Parts(spec, folder)
     apply_rules(parts, report)
@@ -177,18 +177,42 @@ class _Partial:
         try:
             return kind.validate_python(value, strict=True)
         except ValidationError as error:
-            section = None if _holds_many(info.annotation) else section_of(info.annotation)
-            locs = [detail["loc"] for detail in error.errors()]
-            entries = {(key,) for key in value} if isinstance(value, dict) else set()
-            if not isinstance(value, dict) or (section is None and any(loc[:1] not in entries for loc in locs)):
-                raise UnknownValueError from None
-            if section is not None:
-                return _Partial(section, value)
-            bad = {loc[0] for loc in locs}
-            try:
-                return kind.validate_python({k: v for k, v in value.items() if k not in bad}, strict=True)
-            except ValidationError:  # what is left is too little, as one node of two
-                raise UnknownValueError from None
+            return _valid_part(info.annotation, kind, value, [detail["loc"] for detail in error.errors()])
+
+
+def _valid_part(annotation: Any, kind: TypeAdapter[Any], value: Any, wrong: list[Loc]) -> Any:
+    """What is valid of a section, or of the entries of a mapping. Raises UnknownValueError: nothing.
+
+    Args:
+        annotation: of the value.
+        kind: reads it.
+        value: as it was written.
+        wrong: the places of its mistakes, from it on.
+    """
+    section = None if _holds_many(annotation) else section_of(annotation)
+    if not isinstance(value, dict) or (section is None and any(not loc or loc[0] not in value for loc in wrong)):
+        raise UnknownValueError
+    if section is not None:
+        return _Partial(section, value)
+    bad = {loc[0] for loc in wrong}
+    try:
+        good = kind.validate_python({key: entry for key, entry in value.items() if key not in bad}, strict=True)
+    except ValidationError:  # what is left is too little, as one node of two
+        raise UnknownValueError from None
+    if (section := _section_of_entries(annotation)) is None:
+        return good
+    nameless, rest = {loc[0] for loc in wrong if loc[1:2] == ("[key]",)}, iter(good.items())
+    # A wrong entry stays, for what names it is no mistake.
+    named = {key: _Partial(section, entry if isinstance(entry, dict) else {}) for key, entry in value.items()}
+    return dict((key, named[key]) if key in bad else next(rest) for key in value if key not in nameless)
+
+
+def _section_of_entries(annotation: Any) -> type[Section] | None:
+    """The section that each entry of a mapping is; None: there is none, or it may be written otherwise, too."""
+    if get_origin(annotation) is dict:
+        entry = get_args(annotation)[1]
+        return entry if isinstance(entry, type) and issubclass(entry, Section) else None
+    return next(filter(None, map(_section_of_entries, get_args(annotation))), None)
 
 
 @cache
@@ -196,7 +220,31 @@ def _kind(section: type[Section], name: str) -> TypeAdapter[Any]:
     return TypeAdapter(section.model_fields[name].rebuild_annotation())
 
 
-def _explain(root: Mapping, error: ErrorDetails) -> Problem:
+def _explained(root: Mapping, errors: Sequence[ErrorDetails]) -> list[Problem]:
+    """The problems in words. A key that is missing because it is misspelt is told once: where it is."""
+    meant: dict[Loc, str] = {}  # by the place of an unknown key
+    for error in errors:
+        if error["type"] == "extra_forbidden":
+            loc, section = error["loc"], error["loc"][:-1]
+            missing, unknown = (_keys_of(errors, kind, section) for kind in ("missing", "extra_forbidden"))
+            near = [key for key in missing if nearest(str(loc[-1]), [key])]
+            if section and len(missing) == len(unknown) == 1:  # whatever it is called: `command` for `run`
+                near = missing
+            meant.update((loc, key) for key in near[:1])
+    told = {(*loc[:-1], key) for loc, key in meant.items()}
+    return [
+        _explain(root, error, meant.get(error["loc"], ""))
+        for error in errors
+        if error["type"] != "missing" or error["loc"] not in told
+    ]
+
+
+def _keys_of(errors: Sequence[ErrorDetails], kind: str, section: Loc) -> list[str]:
+    return [str(error["loc"][-1]) for error in errors if error["type"] == kind and error["loc"][:-1] == section]
+
+
+def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
+    """A problem in words; `meant`: the key that an unknown one stands for, if that is known."""
     loc = error["loc"]
     path = _in_file(root, loc)
     context, value = error.get("ctx", {}), error["input"]
@@ -209,7 +257,8 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
             return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}', hint, name)
         case "extra_forbidden":
             place = locate(root, path, key=True)
-            return place.problem(f'unknown key "{_short(name)}"', _nearest_key(loc), name)
+            hint = f'did you mean "{meant}"?' if meant else _nearest_key(loc)
+            return place.problem(f'unknown key "{_short(name)}"', hint, name)
         case "mistake":
             if path[-1] == "[key]":
                 path = path[:-1]

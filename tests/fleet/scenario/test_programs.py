@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.errors import FleetError
+from fleet.errors import FleetError, ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.programs import admit_programs
@@ -165,3 +165,49 @@ def test_what_makes_runs_of_stacks_needs_their_programs_and_their_end() -> None:
         refuse(endless, "a run of a study", stacks=True)
     with pytest.raises(FleetError, match="fleet netem runs it"):
         refuse(stack(programs={"m1": {"run": "a"}}), "fleet rare")
+
+
+WHOLE: dict[str, Any] = {
+    "nodes": NODES | {"m3": {}}, "begin": "1 s", "compose": "c.yaml",
+    "programs": {"m1": {"run": "a {listen}", "ready": {"after": "1 s"}}, "shore/gcs": {"run": "b"}},
+    "signals": {"x": {"of": "m1", "line": NUMBER}, "y": {"message": "k", "json": ""}},
+    "faults": [{"at": "1 s", "for": "1 s", "kill": "m1"}, {"at": "2 s", "pause": "shore"}, {"at": "1 s", "mute": "m2"}],
+    "graph": {"edges": ["m1-m2", "m2-m3", "m3-shore"]}, "network": {"links": {"m1->m2": "loss 3%"}},
+    "checks": {
+        "programs": {"m1": "done", "shore/gcs": "running"},
+        "signal": [{"topic": "x", "above": 0}, {"topic": "y", "above": 0}],
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("section", "entry", "wrong", "place", "hint"),
+    [
+        ("programs", "m1", {"comand": "a"}, "comand", '"run"'),
+        ("programs", "m1", {"command": ["a"], "nice": 3}, "command", '"run"'),
+        ("programs", "m1", {"run": "a", "redy": {}}, "redy", '"ready"'),
+        ("programs", "m1", {"run": 5}, "run", "run: [python"),
+        ("programs", "m1", {}, "run", ""),
+        ("programs", "m1", "python a.py", "m1", "write {key: value}"),
+        ("programs", "shore/gcs", {"run": "a", "ready": {"lin": "x"}}, "lin", '"line"'),
+        ("signals", "x", {"lin": NUMBER}, "lin", '"line"'),
+        ("signals", "x", {"line": "("}, "line", ""),
+        ("nodes", "m1", {"lisen": "tcp/127.0.0.1:7501"}, "lisen", '"listen"'),
+        ("nodes", "m1", {"zenoh": 5}, "zenoh", "quotes"),
+    ],
+)
+def test_what_names_a_wrong_entry_is_no_further_mistake(
+    section: str, entry: str, wrong: Any, place: str, hint: str
+) -> None:
+    """A program with one typo was missing for its check and for faults, too, and `run` was missing beside `comand`."""
+    stack(**WHOLE)
+    with pytest.raises(ScenarioError) as caught:
+        stack(**WHOLE | {section: WHOLE[section] | {entry: wrong}})
+    (problem,) = caught.value.problems
+    assert problem.key.endswith(place) and hint in problem.hint
+
+
+def test_the_typo_in_the_only_program_leaves_nothing_without_effect() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        stack(nodes=NODES, begin="1 s", programs={"m*": {"rn": "a"}}, checks={"programs": "running"})
+    assert [problem.key for problem in caught.value.problems] == ["programs.m*.rn"]

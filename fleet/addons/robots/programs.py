@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from fleet.addons.robots import keeper
 from fleet.addons.robots.message_values import NoNumber, reader
+from fleet.analysis.command_lines import search_path
 from fleet.errors import RunBroken
 from fleet.processes.children import describe_exit
 from fleet.result.verdict import Verdict
@@ -172,7 +173,7 @@ class Programs:
             "dir": self._directory, "domain": os.environ.get("ROS_DOMAIN_ID", "0"),
         }  # fmt: skip
         env = dict(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
-        env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env.get('PATH', os.defpath)}"
+        env["PATH"] = search_path()
         env |= {"PYTHONUNBUFFERED": "1", "ROS_DOMAIN_ID": str(known["domain"])}
         if listen:
             env |= {

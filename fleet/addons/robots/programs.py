@@ -33,7 +33,9 @@ from netem.wire.messages import WorldFault
 
 BEFORE_NS = 500_000_000  # from the start of the keeper until every program has begun, where {begin_s} is told before
 COMPOSE_S = 0.05  # between two looks at the operator while docker works
+FEW_LINES = 3  # of a program that ends while the run goes on: others may, too
 STOP_S = 3.0  # for the keeper, beside the time that programs have to stop
+MOST_NAMES = 8  # of programs or nodes in one line
 _EARLY = "{begin_s}"
 _LOGS = ("keeper", "relay")  # of the run, beside those of programs
 _NEVER = "(?!)"  # a line has no match of it: something else says that the program is ready
@@ -96,7 +98,8 @@ class Programs:
         self._count = 0
         self.known_ns = 0 if self.states else 2**63  # everything up to this time has been told
         self.begin_ns: int | None = None
-        self._notes: list[str] = []
+        self.notes: list[str] = []
+        self._spoken: set[str] = set()  # the signals of which some node has told a number
         self.cpu_s = 0.0
         self.said: list[Ended] = []  # since the last frame
         self._over_ns = 2**63
@@ -268,8 +271,8 @@ class Programs:
             self._put(message.at_ns, {"told": node, "signal": place, "value": value})
 
     def _note(self, text: str) -> None:
-        if text not in self._notes and len(self._notes) < MOST_NOTES:
-            self._notes.append(text)
+        if text not in self.notes and len(self.notes) < MOST_NOTES:
+            self.notes.append(text)
             self._print(text)
 
     def advance(self, to_ns: int) -> None:
@@ -282,6 +285,7 @@ class Programs:
                     self._counts[node][place] += 1
                     number = float(self._counts[node][place]) if value is None else value
                     self._values[node][place] = number if isfinite(number) else nan
+                    self._spoken.add(list(self._signals[node])[place])
                 case {"started": name, "pid": pid}:
                     self._starts(self.states[name], pid, at_ns)
                 case {"ready": name}:
@@ -311,7 +315,7 @@ class Programs:
         if self._is_fine(state):
             return
         self.said.append(Ended(at_ns, state.node))
-        self._print("\n".join([f"{state.name} {how} at t = {at_s:.2f} s", *self._tail_of(state)]))
+        self._print("\n".join([f"{state.name} {how} at t = {at_s:.2f} s", *self._tail_of(state, FEW_LINES)]))
 
     def _wanted(self, state: ProgramState) -> str:
         return wanted(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
@@ -324,9 +328,9 @@ class Programs:
         name = f"{state.name}+" if state.name in _LOGS else state.name.replace("/", "+")
         return self._directory / "log" / f"{name}.log"
 
-    def _tail_of(self, state: ProgramState) -> list[str]:
-        where = self._log_of(state)
-        return [f"last lines of {where}:", *(f"  {line}" for line in state.tail or ["(nothing printed)"])]
+    def _tail_of(self, state: ProgramState, most: int = keeper.TAIL) -> list[str]:
+        lines = state.tail[-most:] or ["(nothing printed)"]
+        return [f"last lines of {self._log_of(state)}:", *(f"  {line}" for line in lines)]
 
     def values(self, node: int) -> tuple[float, ...] | None:
         """What a node has told last, in the order of its signals; None: it has no program that runs and is ready."""
@@ -397,6 +401,17 @@ class Programs:
         if kept.stdout is not None:
             kept.stdout.close()
 
+    def silent(self) -> list[str]:
+        """A note for each signal of which no node has told a number. A number of lines or messages needs none."""
+        found = []
+        for name, section in (self._scenario.spec.signals or {}).items():
+            nodes = [self._scenario.nodes[i - 1] for i, told in self._signals.items() if name in told]
+            if section.count or name in self._spoken or not nodes:
+                continue
+            what = "line" if section.message is None else f"message on {section.message}"
+            found.append(f"signal {name}: no {what} of {some(nodes)} had a number")
+        return found
+
     def verdict(self) -> Verdict | None:
         """Whether all programs ran, or did their work; None: there are none."""
         if not self.states:
@@ -454,6 +469,11 @@ class Programs:
                 raise
         if docker.returncode and words[0] == "up":
             raise RunBroken(f"{' '.join(map(quote, command))} failed", said.splitlines()[-12:])
+
+
+def some(names: Sequence[str]) -> str:
+    """The first names of some, and how many there are beside them."""
+    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
 
 
 def _last_lines(file: Path) -> list[str]:

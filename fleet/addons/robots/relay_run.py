@@ -19,7 +19,7 @@ import msgpack
 import msgspec
 
 from fleet.addons.robots.message_log import MessageLog, place_of
-from fleet.addons.robots.programs import Programs
+from fleet.addons.robots.programs import Programs, some
 from fleet.analysis.robot_addresses import lines
 from fleet.errors import FleetError, RunBroken, StoppedError
 from fleet.execution.clock import GrantPolicy, LiveClock
@@ -60,7 +60,6 @@ PING_S = 0.1
 BEHIND_S = 1.0  # with its reports, and so with messages: the status line says so
 LEAD_NS = 20_000_000  # a fault that is injected begins so much later, so that the relay knows it by then
 LOST_AFTER_NS = 10_000_000_000
-MOST_NAMES = 8  # of programs in one line
 
 
 def setup_of(
@@ -250,7 +249,7 @@ class RelayRun:
             programs.hear()
             if not (unready := programs.unready()):
                 break
-            self.waiting = f"waiting for {_some(unready)} to be ready"
+            self.waiting = f"waiting for {some(unready)} to be ready"
             if self._pipe.poll(POLL_S):
                 self._take()
             meanwhile()
@@ -371,6 +370,7 @@ class RelayRun:
         if (verdict := programs.verdict()) is not None:
             self.closing.verdicts.append(verdict)
         self.deaths = programs.deaths()
+        self.notes += [*programs.notes, *programs.silent()]
 
     def _frames(self, *, whole: bool = False) -> None:
         """Write the frames up to where relay and programs have told everything. `whole`: up to the end of the run."""
@@ -421,7 +421,7 @@ class RelayRun:
 
     def _ended_early(self) -> str:
         """In words, what the end of a run before its t = 0 has ended."""
-        names = _some([name for name, state in self._programs.states.items() if state.runs])
+        names = some([name for name, state in self._programs.states.items() if state.runs])
         state = f" ({self.waiting})" if self.waiting else ""
         return f"the run ended before t = 0{state}" + (f", and its programs with it: {names}" if names else "")
 
@@ -487,8 +487,3 @@ class RelayRun:
         child = self._children.by_role[RELAY]
         lines = [f"last lines of {child.log_path}:", *(f"  {line}" for line in child.tail() or ["(nothing printed)"])]
         raise RunBroken(f"the relay (pid {ended.pid}) {describe_exit(ended.code)}", lines)
-
-
-def _some(names: Sequence[str]) -> str:
-    """The first names of some, and how many there are beside them."""
-    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")

@@ -85,6 +85,32 @@ def test_a_program_that_has_done_its_work_is_not_gone(tmp_path: Path) -> None:
     assert lives(found) == [Ended(4000, 2, begins=True)]
 
 
+def test_of_a_program_that_ends_a_few_lines_are_shown(tmp_path: Path) -> None:
+    """And where the others are: three that died filled the screen."""
+    found = one(tmp_path)
+    found.say(2000, ended="m2", code=1, tail=[f"line {n}" for n in range(12)])
+    found.advance(2000)
+    (said,) = found.shown
+    assert said.splitlines() == [
+        "m2 exited with status 1 at t = 0.00 s", f"last lines of {tmp_path}/log/m2.log:",
+        "  line 9", "  line 10", "  line 11",
+    ]  # fmt: skip
+
+
+def test_a_signal_that_nobody_has_told_leaves_a_note(tmp_path: Path) -> None:
+    """Whatever it is told by. What one of its nodes has told was spoken, also if it was no number for a time."""
+    signals = SIGNALS | {"k": {"of": "m2", "message": "c/{node}", "json": "a"}, "e": {"line": "error", "count": "yes"}}
+    found = Known(tmp_path, programs={"m*": {"run": "a"}}, signals=signals)
+    assert found.silent() == [
+        "signal x: no line of m1, m2 had a number", "signal j: no message on b of m1, m2 had a number",
+        "signal k: no message on c/{node} of m2 had a number",
+    ]  # fmt: skip
+    found.runs("m1", "m2")
+    found.say(2000, told="m2", signal=0, value=1.0)
+    found.advance(2000)
+    assert [note.partition(":")[0] for note in found.silent()] == ["signal j", "signal k"]
+
+
 def test_what_ends_after_the_run_is_no_failure(tmp_path: Path) -> None:
     found = one(tmp_path)
     found.ends_at(5000)

@@ -195,6 +195,7 @@ def test_a_run_fails_for_programs_that_end_or_do_not_and_says_how(tmp_path: Path
     assert words.startswith("m1 exited with status 3 at 0.") and '": "goodbye"' not in words
     assert ': "goodbye"; m2 did not end; m3 was killed by SIGKILL at 0.' in words
     assert words.endswith(': "begins"')
+    assert result.notes == ["signal s: no line of m1 had a number"]
     assert [death[1:] for death in result.deaths.values()] == [["hello", "goodbye"], ["begins"]]
     assert "m1 exited with status 3 at t = 0." in said and "goodbye" in said
     told = next(line for line in (run.directory / "log/m2.log").read_text().splitlines() if "told" in line)

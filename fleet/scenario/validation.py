@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin
@@ -34,6 +35,7 @@ from fleet.scenario.rules import (
 from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.node_names import of_nodes
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
 from fleet.scenario.trust import READING, Policy
 from fleet.scenario.value_types import Section, section_of
@@ -134,7 +136,9 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
         spec = cast(ScenarioSpec, _Partial(ScenarioSpec, data))
     parts = Parts(spec, folder)
     apply_rules(parts, report)
-    return (None if report.problems else parts), report.problems
+    names = report.keys("nodes")
+    told = [replace(problem, message=of_nodes(problem.message, names)) for problem in report.problems]
+    return (None if told else parts), told
 
 
 def apply_rules(parts: Parts, report: Report) -> None:

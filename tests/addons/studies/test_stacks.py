@@ -236,7 +236,7 @@ def test_a_program_that_cannot_be_started_is_no_failure_of_the_network(here: Pat
     [
         ["sweep", "stack.yaml", "--seeds", "1"],
         ["boundary", "stack.yaml", "--along", "network.links.*.loss=0 %..90 %"],
-        ["search", "stack.yaml", "--episodes"],
+        ["search", "stack.yaml", "--episodes", "--set", "duration=30 s"],
         ["shrink", "stack.yaml", "--fault", "at 100ms kill m1"],
     ],
     ids=lambda words: words[0],

@@ -13,6 +13,7 @@ from heapq import heappop, heappush
 from math import isfinite, nan
 from pathlib import Path
 from shlex import quote
+from signal import SIGKILL
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
@@ -86,8 +87,10 @@ class Programs:
             for name, node, section in programs_of(spec.programs or {}, nodes)
         }
         self._signals = {i: told_by(spec, i) for i in range(1, len(nodes) + 1)}
-        self._values = {i: [nan] * len(told) for i, told in self._signals.items()}
-        self._counts = {i: [0] * len(told) for i, told in self._signals.items()}
+        self._values: dict[int, list[float]] = {}
+        self._counts: dict[int, list[int]] = {}
+        for i in self._signals:
+            self._forget(i)
         self.watched: list[Watched] = []  # what the relay has to look for
         self._meanings: list[tuple[str, int, int, Any]] = []  # of each: what it is about, node, signal, its reader
         self._watch()
@@ -99,10 +102,12 @@ class Programs:
         self.known_ns = 0 if self.states else 2**63  # everything up to this time has been told
         self.begin_ns: int | None = None
         self.notes: list[str] = []
+        self._unread: set[int] = set()  # what is watched and has had a message without a number
         self._spoken: set[str] = set()  # the signals of which some node has told a number
         self.cpu_s = 0.0
         self.said: list[Ended] = []  # since the last frame
         self._over_ns = 2**63
+        self._stubborn: list[str] = []  # programs that had to be killed when they were to stop
 
     @property
     def any(self) -> bool:
@@ -265,13 +270,15 @@ class Programs:
             try:
                 value = None if how is None else how(message.key, message.payload)
             except NoNumber as error:
-                name = list(self._signals[node])[place]
-                self._note(f"{self._scenario.nodes[node - 1]}: signal {name}: {message.key:.80}: {error}")
+                if message.which not in self._unread:  # the next one is wrong at another place
+                    self._unread.add(message.which)
+                    name = list(self._signals[node])[place]
+                    self._note(f"{self._scenario.nodes[node - 1]}: signal {name}: {message.key:.80}: {error}")
                 continue
             self._put(message.at_ns, {"told": node, "signal": place, "value": value})
 
     def _note(self, text: str) -> None:
-        if text not in self.notes and len(self.notes) < MOST_NOTES:
+        if len(self.notes) < MOST_NOTES:
             self.notes.append(text)
             self._print(text)
 
@@ -299,17 +306,24 @@ class Programs:
         if state.ended:
             self.said.append(Ended(at_ns, state.node, begins=True))
         state.pid, state.since_ns, state.ready, state.ended = pid, at_ns, False, ""
-        self._values[state.node] = [nan] * len(self._values[state.node])
-        self._counts[state.node] = [0] * len(self._counts[state.node])
+        self._forget(state.node)
+
+    def _forget(self, node: int) -> None:
+        """A node has told nothing yet: of that, the number of its lines and messages is known."""
+        told = self._signals[node].values()
+        self._values[node] = [0.0 if section.count else nan for section in told]
+        self._counts[node] = [0] * len(told)
 
     def _ends(self, state: ProgramState, code: int, tail: list[str], at_ns: int) -> None:
         state.pid, state.ready, state.code, state.tail = None, False, code, tail
         how = describe_exit(code)
+        if at_ns >= self._over_ns:  # the run is over, and stops it
+            if code == -SIGKILL and state.section.stop.signal != "KILL":
+                self._stubborn.append(state.name)
+            return
         if self.begin_ns is None:
             state.ended = how
             return
-        if at_ns >= self._over_ns:
-            return  # the run is over, and stops it
         at_s = (at_ns - self.begin_ns) / 1e9
         state.ended = f"{how} at {at_s:.2f} s"
         if self._is_fine(state):
@@ -393,6 +407,9 @@ class Programs:
                 with suppress(subprocess.TimeoutExpired):
                     kept.wait(0.02)
             self.hear()
+        self.advance(2**63)
+        if self._stubborn:
+            self._note(f"{some(self._stubborn)} did not stop in time and had to be killed: see stop")
         kept.stdin.close()  # it kills what is left
         with suppress(subprocess.TimeoutExpired):
             kept.wait(STOP_S)

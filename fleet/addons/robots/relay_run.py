@@ -192,6 +192,7 @@ class RelayRun:
             raise
         finally:
             self._programs.close()
+            self.notes += self._programs.notes
             if self._programs.states:
                 self.closing.cpu_s = self._relay_cpu_s + self._programs.cpu_s + time.process_time()
             self._children.stop()
@@ -370,7 +371,7 @@ class RelayRun:
         if (verdict := programs.verdict()) is not None:
             self.closing.verdicts.append(verdict)
         self.deaths = programs.deaths()
-        self.notes += [*programs.notes, *programs.silent()]
+        self.notes += programs.silent()
 
     def _frames(self, *, whole: bool = False) -> None:
         """Write the frames up to where relay and programs have told everything. `whole`: up to the end of the run."""

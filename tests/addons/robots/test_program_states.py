@@ -47,12 +47,28 @@ def test_what_is_told_happens_at_its_time_whoever_tells_it(tmp_path: Path) -> No
     found.say(30, told="m1", signal=0, value=7.0)
     found.see([WatchedMessage(0, 10, "a/m1"), WatchedMessage(0, 40, "a/m1"), WatchedMessage(1, 20, "b", b"2.5")])
     found.say(50, told="m1", signal=0, value=float("inf"))
-    found.see([WatchedMessage(1, 45, "b", b"broken"), WatchedMessage(1, 46, "b", b"broken")])
+    found.see([WatchedMessage(1, 45, "b", b"broken"), WatchedMessage(1, 46, "b", b"[broken")])
     seen = [(found.advance(at), words(found.values(1)))[1] for at in (9, 10, 20, 39, 40, 50)]
-    assert seen == ["- - -", "- 1 -", "- 1 2.5", "7 1 2.5", "7 2 2.5", "- 2 2.5"]
-    assert words(found.values(2)) == "- - -"
+    assert seen == ["- 0 -", "- 1 -", "- 1 2.5", "7 1 2.5", "7 2 2.5", "- 2 2.5"]
+    assert words(found.values(2)) == "- 0 -"
     (said,) = found.shown  # once, however often it comes
     assert said.startswith("m1: signal j: b: is not json: ")
+
+
+def test_a_number_of_lines_or_messages_begins_with_none(tmp_path: Path) -> None:
+    """`errors below 1` failed in a run without an error: it had no value yet. Each life counts anew."""
+    signals = {"errors": {"line": "error", "count": "yes"}, "n": {"message": "a", "count": "yes"}, "x": SIGNALS["x"]}
+    found = Known(tmp_path, programs={"m1": {"run": "a"}}, signals=signals)
+    assert words(found.values(2)) == "0 0 -"  # nobody starts its programs
+    found.runs("m1")
+    found.say(2000, told="m1", signal=0, value=1.0)
+    found.see([WatchedMessage(0, 2001, "a")])
+    found.advance(2001)
+    assert words(found.values(1)) == "1 1 -"
+    for at, said in ((2002, "killed"), (2003, "started"), (2004, "ready")):
+        found.say(at, **{said: "m1", "pid": 5})
+    found.advance(2004)
+    assert words(found.values(1)) == "0 0 -"
 
 
 def test_a_node_has_no_sample_while_one_of_its_programs_is_not_ready(tmp_path: Path) -> None:
@@ -63,8 +79,8 @@ def test_a_node_has_no_sample_while_one_of_its_programs_is_not_ready(tmp_path: P
     found.say(30, started="m1/nav", pid=5)
     found.say(40, ready="m1/nav")
     seen = [(found.advance(at), words(found.values(1)), found.gone)[1:] for at in (10, 20, 30, 40)]
-    assert seen == [("7 - -", []), ("", [1]), ("", []), ("- - -", [])]
-    assert words(found.values(2)) == "- - -" and not lives(found)
+    assert seen == [("7 0 -", []), ("", [1]), ("", []), ("- 0 -", [])]
+    assert words(found.values(2)) == "- 0 -" and not lives(found)
 
 
 def test_a_program_that_has_done_its_work_is_not_gone(tmp_path: Path) -> None:
@@ -74,7 +90,7 @@ def test_a_program_that_has_done_its_work_is_not_gone(tmp_path: Path) -> None:
     for name, code in (("m1", 0), ("m1/nav", 0), ("m2", 3)):
         found.say(3000, ended=name, code=code, tail=["last words"])
     found.advance(3000)
-    assert (words(found.values(1)), words(found.values(2)), found.gone) == ("7 - -", "", [2])
+    assert (words(found.values(1)), words(found.values(2)), found.gone) == ("7 0 -", "", [2])
     assert lives(found) == [Ended(3000, 2)]
     verdict = found.verdict()
     assert verdict is not None and verdict.failed

@@ -185,6 +185,7 @@ def test_a_run_fails_for_programs_that_end_or_do_not_and_says_how(tmp_path: Path
             "m1": {"run": "python ends.py 1.3 3"},
             "m2": {"run": "python counts.py {begin_s}"},
             "m3": {"run": ["sh", "-c", "echo begins; sleep 1; kill -9 $$"]},
+            "m1/deaf": {"run": "sh -c 'trap : TERM; while :; do sleep 1; done'", "stop": {"within": "50 ms"}},
         },
         checks={"programs": {"m2": "done"}, "signal": {"topic": "s", "above": 0, "after": "700 ms"}},
         signals={"s": {"of": "m1", "line": "hel(?P<value>)lo"}},
@@ -195,7 +196,9 @@ def test_a_run_fails_for_programs_that_end_or_do_not_and_says_how(tmp_path: Path
     assert words.startswith("m1 exited with status 3 at 0.") and '": "goodbye"' not in words
     assert ': "goodbye"; m2 did not end; m3 was killed by SIGKILL at 0.' in words
     assert words.endswith(': "begins"')
-    assert result.notes == ["signal s: no line of m1 had a number"]
+    assert result.notes == [
+        "signal s: no line of m1 had a number", "m1/deaf did not stop in time and had to be killed: see stop",
+    ]  # fmt: skip
     assert [death[1:] for death in result.deaths.values()] == [["hello", "goodbye"], ["begins"]]
     assert "m1 exited with status 3 at t = 0." in said and "goodbye" in said
     told = next(line for line in (run.directory / "log/m2.log").read_text().splitlines() if "told" in line)

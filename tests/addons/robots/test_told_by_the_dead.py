@@ -18,7 +18,8 @@ from fleet.recorder.writer import LogWriter
 from netem.wire.messages import LinkReport
 
 SECTIONS: dict[str, Any] = {
-    "nodes": {"auv.1": {}, "m2": {}, "m3": {}}, "duration": "2 s", "signals": {"x": {"line": "(?P<value>.*)"}},
+    "nodes": {"auv.1": {}, "m2": {}, "m3": {}}, "duration": "2 s",
+    "signals": {"x": {"line": "(?P<value>.*)", "unit": "m"}},
     "programs": {"*": {"run": "a"}}, "faults": [{"at": "500 ms", "for": "500 ms", "kill": "m2"}],
     "checks": {"programs": {"m3": "done"}},
 }  # fmt: skip
@@ -70,7 +71,7 @@ def recorded(tmp_path: Path) -> Recorded:
 
 
 def then(recorded: Recorded, log: Log, at_s: float) -> Evidence:
-    return evidence(log, at_s, ["control.x"], protocol=False, nodes=recorded._scenario.nodes)
+    return evidence(log, at_s, [], protocol=True, nodes=recorded._scenario.nodes)
 
 
 def test_a_number_ends_with_its_program_unless_it_has_done_its_work(recorded: Recorded) -> None:

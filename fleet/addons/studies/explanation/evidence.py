@@ -147,7 +147,8 @@ def evidence(
     lost: Counter[str] = Counter()
     for packets in each.values():
         lost.update(cause for cause in packets.causes if cause)
-    vehicles = [_vehicle(log, i, at_s, each, signals, lives, protocol=protocol) for i in numbers]
+    units = None if nodes else ("1", "s")  # of programs every number, of agents what may be one of their protocol
+    vehicles = [_vehicle(log, i, at_s, each, signals, lives, units, protocol=protocol) for i in numbers]
     pauses = _pauses(each, at_s)
     gaps, sent = _gaps(each, at_s, failing, pauses), sum(len(packets.sent) for packets in each.values())
     return Evidence(faults, gaps, dict(lost.most_common()), sent, vehicles)
@@ -283,7 +284,15 @@ def _ns(time_s: float) -> int:
 
 
 def _vehicle(
-    log: Log, i: int, at_s: float, each: dict[Link, _Packets], signals: Sequence[str], lives: Lives, *, protocol: bool
+    log: Log,
+    i: int,
+    at_s: float,
+    each: dict[Link, _Packets],
+    signals: Sequence[str],
+    lives: Lives,
+    units: Collection[str] | None,
+    *,
+    protocol: bool,
 ) -> VehicleThen:
     heard = [_heard(log, src, packets, at_s) for (src, dst), packets in each.items() if dst == i]
     shown: dict[str, float | None] = {}
@@ -295,7 +304,8 @@ def _vehicle(
             shown[str(name)] = value
     if protocol and (topic := _there(log, f"uuv/{i}/control")) is not None:
         for field, unit in topic.units.items():
-            if unit in ("1", "s") and f"control.{field}" not in shown and topic[field].ndim == 1:
+            fits = units is None or unit in units
+            if fits and f"control.{field}" not in shown and topic[field].ndim == 1:
                 shown[f"control.{field}"] = _value(log, topic.name, field, at_s)
     where = _value(log, f"uuv/{i}/error", "formation_norm", at_s)
     if where is not None:

@@ -35,6 +35,7 @@ from netem.wire.messages import WorldFault
 BEFORE_NS = 500_000_000  # from the start of the keeper until every program has begun, where {begin_s} is told before
 COMPOSE_S = 0.05  # between two looks at the operator while docker works
 FEW_LINES = 3  # of a program that ends while the run goes on: others may, too
+PATIENCE_NS = 1_000_000_000  # until the user is told who is waited for at the end
 STOP_S = 3.0  # for the keeper, beside the time that programs have to stop
 MOST_NAMES = 8  # of programs or nodes in one line
 _EARLY = "{begin_s}"
@@ -386,24 +387,32 @@ class Programs:
         """The run is over at a time [ns]: what ends later is no failure."""
         self._over_ns = at_ns
 
-    def close(self) -> None:
-        """Stop the programs, and kill those that do not stop in time. Nothing of them is left."""
+    def close(self, hurry: Callable[[], object] = lambda: None) -> None:
+        """Stop the programs, and kill those that do not stop in time. Nothing of them is left.
+
+        Args:
+            hurry: whether the user does not want to wait for them any more.
+        """
         if self._keeper is not None:
-            self._stop(self._keeper)
+            self._stop(self._keeper, hurry)
         self._keeper = None
         if self._composed:
             self._composed = False
             self._compose("down")
 
-    def _stop(self, kept: subprocess.Popen[bytes]) -> None:
+    def _stop(self, kept: subprocess.Popen[bytes], hurry: Callable[[], object]) -> None:
         self._over_ns = min(self._over_ns, monotonic_ns())
         self._tell(stop=True)
         within_s = max((state.section.stop.within / 1e9 for state in self.states.values()), default=0.0)
         assert kept.stdin is not None
-        deadline = monotonic_ns() + round((within_s + STOP_S) * 1e9)
+        began, told = monotonic_ns(), False
+        deadline = began + round((within_s + STOP_S) * 1e9)
         with suppress(RunBroken):
-            while kept.poll() is None and monotonic_ns() < deadline:
+            while kept.poll() is None and monotonic_ns() < deadline and not hurry():
                 self.hear()
+                if not told and monotonic_ns() > began + PATIENCE_NS:
+                    told = True
+                    self._print(f"programs have {within_s:g} s to stop; Ctrl-C kills them at once")
                 with suppress(subprocess.TimeoutExpired):
                     kept.wait(0.02)
             self.hear()

@@ -27,6 +27,7 @@ from fleet.execution.directory import RunDirectory
 from fleet.execution.operator import Operator
 from fleet.execution.runner import Closing
 from fleet.processes.children import Children, Exit, describe_exit
+from fleet.processes.interrupts import holding_interrupts
 from fleet.processes.run_folder import RunFolder
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
@@ -191,15 +192,16 @@ class RelayRun:
                 self._note(self._ended_early())
             raise
         finally:
-            self._programs.close()
-            self.notes += self._programs.notes
-            if self._programs.states:
-                self.closing.cpu_s = self._relay_cpu_s + self._programs.cpu_s + time.process_time()
-            self._children.stop()
-            if bus is not None:  # an open session would keep this process from ending
-                bus.close()
-            self._directory.connection.unlink(missing_ok=True)
-            folder.close()
+            with holding_interrupts() as came:  # otherwise processes stay, and an open session keeps us from ending
+                self._programs.close(came)
+                self.notes += self._programs.notes
+                if self._programs.states:
+                    self.closing.cpu_s = self._relay_cpu_s + self._programs.cpu_s + time.process_time()
+                self._children.stop()
+                if bus is not None:
+                    bus.close()
+                self._directory.connection.unlink(missing_ok=True)
+                folder.close()
 
     def _start(self, progress: Callable[[], None]) -> None:
         free = without_address(self._scenario.spec.nodes or {})

@@ -157,6 +157,20 @@ def test_a_run_starts_watches_kills_and_judges_its_programs(lively: LiveRun) -> 
     assert faults == ["kill m2", "kill m4", "pause m1"]
 
 
+def test_who_does_not_want_to_wait_for_the_end_of_programs_kills_them(tmp_path: Path) -> None:
+    """By another Ctrl-C, of which the user is told. The run is judged all the same, and nobody is left."""
+    deaf = {"run": "sh -c 'trap : TERM; echo up; while :; do sleep 1; done'", "ready": {"line": "up"}}
+    with stack(
+        tmp_path, nodes=udp("m1", "m2"), programs={"m1": deaf | {"stop": {"within": "10 min"}}}
+    ) as run:  # fmt: skip
+        begun(run).until_running(0.2)
+        run.send(signal.SIGINT)
+        run.until("programs have 600 s to stop; Ctrl-C kills them at once")
+        run.send(signal.SIGINT)
+        run.ends(0)
+        assert checks(run)["programs"].passed
+
+
 DOCKER = """\
 #!/bin/sh
 echo "$@" >> {log}

@@ -226,6 +226,7 @@ def _kind(section: type[Section], name: str) -> TypeAdapter[Any]:
 
 def _explained(root: Mapping, errors: Sequence[ErrorDetails]) -> list[Problem]:
     """The problems in words. A key that is missing because it is misspelt is told once: where it is."""
+    errors = [error for error in errors if not _is_of_another_form(error, errors)]
     meant: dict[Loc, str] = {}  # by the place of an unknown key
     for error in errors:
         if error["type"] == "extra_forbidden":
@@ -241,6 +242,19 @@ def _explained(root: Mapping, errors: Sequence[ErrorDetails]) -> list[Problem]:
         for error in errors
         if error["type"] != "missing" or error["loc"] not in told
     ]
+
+
+def _is_form(step: str | int) -> bool:
+    """Whether a step of a path in the model names one of several forms: a class of sections, or the reader of a text."""
+    return isinstance(step, str) and (step[:1].isupper() or step.startswith("function-"))
+
+
+def _is_of_another_form(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+    """Whether a value that may be a section or a text was read as the other one, and is told as what it is, too."""
+    *before, form = error["loc"]
+    if not _is_form(form) or (error["type"] == "model_type") is isinstance(error["input"], dict):
+        return False
+    return any(other is not error and other["loc"][: len(before)] == (*before,) for other in errors)
 
 
 def _keys_of(errors: Sequence[ErrorDetails], kind: str, section: Loc) -> list[str]:
@@ -288,8 +302,8 @@ def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
 def _in_file(root: Mapping, loc: Loc) -> Loc:
     """The path in the file of a path in the model.
 
-    The model has a step more for the form of `initial`, for checks in Python, and for an entry that the file writes
-    without its list.
+    The model has a step more for the form of `initial` and of what may be a section or a text, for checks in Python,
+    and for an entry that the file writes without its list.
     """
     if loc[0] == "initial" and len(loc) > 1:
         return loc[:1] + loc[2:]
@@ -297,6 +311,8 @@ def _in_file(root: Mapping, loc: Loc) -> Loc:
     node: Node | None = root
     for step in loc:
         if step == PYTHON or (isinstance(node, Mapping) and isinstance(step, int)):
+            continue
+        if _is_form(step) and not (isinstance(node, Mapping) and step in node.entries):
             continue
         path += (step,)
         if isinstance(node, Mapping):

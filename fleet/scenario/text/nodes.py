@@ -12,6 +12,7 @@ from math import cos, pi, sin
 from typing import Any
 
 from fleet.errors import Problem
+from fleet.quantities import LENGTH, QuantityError, vector
 from fleet.scenario.schema.nodes import NAME, RESERVED
 from fleet.scenario.sections.node_names import FREE, named_values, numbered
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, TextPlace
@@ -174,7 +175,7 @@ def _added(nodes: Mapping, *, water: bool) -> dict[str, Any]:
         place = node.entries.get("place") if isinstance(node, Mapping) else None
         bearing = 2 * pi * number / max(1, count)
         drawn = f"{_RADIUS_M * cos(bearing):.3f} {_RADIUS_M * sin(bearing):.3f} 0 m"
-        places.append(place.value if isinstance(place, Scalar) else drawn)
+        places.append(place.value if isinstance(place, Scalar) and _is_place(place.value) else drawn)
     still = [{"position": place} for place in places]
     return {
         "vehicles": count,
@@ -186,6 +187,15 @@ def _added(nodes: Mapping, *, water: bool) -> dict[str, Any]:
         "formation": {"offsets": places},
         "initial": still,
     }
+
+
+def _is_place(value: Any) -> bool:
+    """Whether it is a place; a wrong one is told where it was written alone."""
+    try:
+        vector(value, LENGTH)
+    except QuantityError:
+        return False
+    return True
 
 
 # Vehicles that do not move need no reference, and no tick within a round.

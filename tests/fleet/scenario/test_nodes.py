@@ -341,3 +341,20 @@ def test_a_wrong_selector_is_told_in_names(fault: dict[str, str], expected: str)
 def test_no_mistake_in_a_selector_speaks_of_vehicles(sections: dict[str, Any], expected: str) -> None:
     said = mistakes(**sections)
     assert expected in said and "vehicle n" not in said and "1->2" not in said
+
+
+@pytest.mark.parametrize(
+    ("place", "key", "expected"),
+    [
+        ({"topik": "a"}, "topik", 'did you mean "topic"?'),
+        ({"topic": "a", "x": 1}, "x", "known here: topic"),
+        ({}, "topic", ""),
+        (5, "", "without a unit"),
+        ("here", "", 'got "here"'),
+        ([1, 2], "", "got a list"),
+    ],
+)
+def test_a_wrong_place_is_one_mistake(place: Any, key: str, expected: str) -> None:
+    """It may be a text or a topic, and a mistake in one was one in the other, too, and in places that nobody wrote."""
+    (said,) = mistakes(nodes=NODES | {"a": {"listen": "tcp/127.0.0.1:1", "place": place}}).splitlines()
+    assert said.startswith(f"nodes.a.place{f'.{key}' if key else ''}: ") and expected in said

@@ -245,7 +245,7 @@ def _explained(root: Mapping, errors: Sequence[ErrorDetails]) -> list[Problem]:
 
 
 def _is_form(step: str | int) -> bool:
-    """Whether a step of a path in the model names one of several forms: a class of sections, or the reader of a text."""
+    """Whether a step of a path in the model names one of several forms: the class of a section, or what reads texts."""
     return isinstance(step, str) and (step[:1].isupper() or step.startswith("function-"))
 
 

@@ -135,9 +135,7 @@ class Programs:
 
     # Before the run begins.
 
-    def start(
-        self, addresses: Mapping[str, str], modems: Mapping[str, str], meanwhile: Callable[[], None]
-    ) -> None:
+    def start(self, addresses: Mapping[str, str], modems: Mapping[str, str], meanwhile: Callable[[], None]) -> None:
         """Start the programs. Raises RunBroken: the keeper cannot start, or docker refuses.
 
         Args:

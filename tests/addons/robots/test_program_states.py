@@ -208,13 +208,14 @@ def test_a_program_knows_where_it_runs(tmp_path: Path) -> None:
     found = Known(
         tmp_path, programs={"m1": {"run": "a {listen} {node}", "env": {"X": "{number}", "ROS_DOMAIN_ID": 7}}}, seed=4
     )
-    values = found._values_of(found.states["m1"], {"m1": "tcp/0.0.0.0:75"}, 2_500_000_000)
+    values = found._values_of(found.states["m1"], {"m1": "tcp/0.0.0.0:75"}, {"m1": "127.0.0.1:1101"}, 2_500_000_000)
     assert values["argv"] == ["a", "tcp/127.0.0.1:75", "m1"]
     env = values["env"]
     assert (env["X"], env["ROS_DOMAIN_ID"], env["FLEET_SEED"], env["FLEET_BEGIN_S"]) == ("1", "7", "4", "2.500")
+    assert env["FLEET_MODEM"] == "127.0.0.1:1101"
     assert env["RMW_IMPLEMENTATION"] == "rmw_zenoh_cpp"
     assert json.loads((tmp_path / "zenoh-m1.json5").read_text())["connect"] == {"endpoints": ["tcp/127.0.0.1:75"]}
-    alone = found._values_of(found.states["m1"], {}, 0)
+    alone = found._values_of(found.states["m1"], {}, {}, 0)
     assert alone["argv"] == ["a", "", "m1"] and "ZENOH_CONFIG_OVERRIDE" not in alone["env"]
 
 

@@ -196,7 +196,7 @@ def test_a_run_fails_for_programs_that_end_or_do_not_and_says_how(tmp_path: Path
         tmp_path, environment=docker(tmp_path),
         nodes=udp("m1", "m2", "m3"), duration="800 ms", compose="services.yaml", begin="200 ms",
         programs={
-            "m1": {"run": "python ends.py 1.3 3"},
+            "m1": {"run": "python ends.py 1.0 3"},
             "m2": {"run": "python counts.py {begin_s}"},
             "m3": {"run": ["sh", "-c", "echo begins; sleep 1; kill -9 $$"]},
             "m1/deaf": {"run": "sh -c 'trap : TERM; while :; do sleep 1; done'", "stop": {"within": "50 ms"}},

@@ -335,7 +335,9 @@ class RelayProcess:
             case "begin":
                 self._begin_ns = request["at_ns"]
             case "faults":
-                self._faults = self._relay.faults = read_faults(request["faults"])
+                self._faults = read_faults(request["faults"])
+                if self._begin_ns is not None and monotonic_ns() >= self._begin_ns:  # none acts before tick 0
+                    self._relay.faults = self._faults
             case "places":
                 self._relay.places.update({int(i): tuple(place) for i, place in request["places"].items()})
             case "close":

@@ -7,6 +7,7 @@ import pwd
 import re
 import socket
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from shlex import quote
 from types import MappingProxyType
@@ -88,9 +89,23 @@ def warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _other_people() -> list[str]:
-    """Some other people who have an account on this machine and can log in."""
+    """Some other people who can log in on this machine and have processes on it now. Who is not there hears nothing,
+    and a warning that comes at every start is read by nobody.
+    """
     found = [one for one in pwd.getpwall() if one.pw_uid in _PEOPLE and one.pw_uid != os.getuid()]
-    return sorted(one.pw_name for one in found if Path(one.pw_shell).name not in ("nologin", "false", ""))[:3]
+    able = [one for one in found if Path(one.pw_shell).name not in ("nologin", "false", "")]
+    there = users_now() if able else None
+    return sorted(one.pw_name for one in able if there is None or one.pw_uid in there)[:3]
+
+
+def users_now() -> set[int] | None:
+    """The numbers of the users with processes; None: the system shows us only our own."""
+    found = set()
+    for name in os.listdir("/proc"):
+        if name.isdigit():
+            with suppress(OSError):  # it has ended
+                found.add(os.stat(f"/proc/{name}").st_uid)
+    return found if os.path.exists("/proc/1") else None
 
 
 def summary(scenario: Scenario) -> list[str]:

@@ -57,6 +57,7 @@ class OwnChecks:
         self._moments: dict[str, Moment] = {}  # at which checks failed, by name
         self._active: dict[str, Fault] = {}
         self._dead: dict[str, list[int]] = {}  # by fault, whose agents it ended
+        self._paused: dict[str, list[int]] = {}
         self._fates: list[Fate] = []  # since the tick before; only for checks in Python
         self._pending: TickValues | None = None
         self._now = begin
@@ -93,11 +94,11 @@ class OwnChecks:
         if event.action == "begins":
             if event.is_fault:
                 self._active[event.fault] = Fault(event.fault, event.what, event.tick * self._tick_s)
-            if dead := _ended(event.what):
-                self._dead[event.fault] = dead
+            self._dead[event.fault] = _concerned(event.what, ("kill", DIVERGED))
+            self._paused[event.fault] = _concerned(event.what, ("pause",))
         else:
-            self._active.pop(event.fault, None)
-            self._dead.pop(event.fault, None)
+            for known in (self._active, self._dead, self._paused):
+                known.pop(event.fault, None)
         for check in self._signals:
             check.event(event)
 
@@ -142,7 +143,7 @@ class OwnChecks:
             return
         t, faults = tick * self._tick_s, tuple(self._active.values())
         packets, self._fates = packets_of(self._fates, self._tick_s), []
-        dead = {i for vehicles in self._dead.values() for i in vehicles}
+        dead = _all(self._dead)
         asked: dict[str, None] = {}
         vehicles = [SeenVehicle(i, i not in dead, values, signals, asked) for i, signals in self._places.items()]
         for one in self._python:
@@ -159,7 +160,7 @@ class OwnChecks:
             list(failure.vehicles),
             {key: value if isfinite(value) else None for key, value in failure.values.items()},
             list(self._active),
-            self._messages.of(failure.vehicles, signals),
+            self._messages.of(failure.vehicles, signals, _all(self._dead) | _all(self._paused)),
         )
 
 
@@ -185,9 +186,14 @@ def reported(scenario: Scenario, i: int) -> VehicleSignals:
     return VehicleSignals(laws, plant, i in scenario.clocks, scenario.belief(i))
 
 
-def _ended(what: str) -> list[int]:
+def _all(by_fault: Mapping[str, Sequence[int]]) -> set[int]:
+    return {i for vehicles in by_fault.values() for i in vehicles}
+
+
+def _concerned(what: str, kinds: Collection[str]) -> list[int]:
+    """The vehicles of a fault or an event that is of one of these kinds."""
     kind, _, vehicles = what.partition(" ")
-    if kind not in ("kill", DIVERGED):
+    if kind not in kinds:
         return []
     try:
         return vehicle_numbers(vehicles)
@@ -217,15 +223,21 @@ class LastMessages:
         own = fate.payload[:1] == _OF_A_PROTOCOL or kind_of(fate.payload) != STATE
         (self._own if own else self._states).settle(fate)
 
-    def of(self, vehicles: Collection[int], signals: Iterable[str]) -> LastMessage | None:
+    def of(self, vehicles: Collection[int], signals: Iterable[str], silent: Collection[int] = ()) -> LastMessage | None:
         """The message that made the difference to the vehicles that failed a check, of the signals that it looks at: of
-        the links whose last packet was lost, that of the link with the longest time since an arrival, else the packet
-        that arrived last. None if the check judges no protocol, or no packet of it has had a fate yet.
+        the links whose last packet was lost or whose sender is silent, that of the link with the longest time since an
+        arrival, else the packet that arrived last. None if the check judges no protocol, or no packet of it has had a
+        fate yet.
+
+        Args:
+            vehicles: that failed it.
+            signals: that it looks at.
+            silent: the vehicles that send nothing, as their agent is gone or paused.
         """
         groups = {signal.lstrip("| ").partition(".")[0] for signal in signals}
         if "control" in groups:
-            return (self._own if self._own.any else self._states).of(vehicles)
-        return self._states.of(vehicles) if groups & {"guidance", "error"} else None
+            return (self._own if self._own.any else self._states).of(vehicles, silent)
+        return self._states.of(vehicles, silent) if groups & {"guidance", "error"} else None
 
 
 class _LastOfLinks:
@@ -247,11 +259,11 @@ class _LastOfLinks:
         if fate.cause == Cause.DELIVERED and not fate.corrupted:
             self._heard[link] = max(fate.sent_tick, self._heard.get(link, 0))
 
-    def of(self, vehicles: Collection[int]) -> LastMessage | None:
+    def of(self, vehicles: Collection[int], silent: Collection[int]) -> LastMessage | None:
         known = [(src, dst) for dst in vehicles for src in self._into.get(dst, ()) if (src, dst) in self._last]
         if not known:
             return None
-        missed = [link for link in known if not self._arrived(self._last[link])]
+        missed = [link for link in known if link[0] in silent or not self._arrived(self._last[link])]
         if missed:
             link = min(missed, key=lambda one: (self._heard.get(one, -1), one))
         else:
@@ -265,6 +277,7 @@ class _LastOfLinks:
             at_s=fate.final_tick * self._tick_s,
             fate=how,
             heard_s=None if heard is None else heard * self._tick_s,
+            silent=fate.src in silent,
         )
 
     @staticmethod

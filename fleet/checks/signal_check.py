@@ -148,11 +148,14 @@ class _Safety:
         self._longest: tuple[int, Unit, int] | None = None  # ticks, whose, since
         self._first = -1  # tick at which it failed, and the longest stretch by then
         self._by_then: tuple[int, Unit, int] | None = None
+        self._silent: list[Unit] = []  # whose silence made it fail
+        self._spoke: dict[Unit, int] = {}  # the tick of the first number of each
         self.failure = ""
 
     def step(self, tick: int, numbers: Sequence[tuple[Unit, float | None]]) -> Unit | None:
         asked = self._asked
         condition, each, failed = asked.condition, asked.condition.over == "each", list[int]()
+        silent: list[Unit] = []
         values: list[float] = []
         told = [(unit if each else _FLEET, None if value is None or isnan(value) else value) for unit, value in numbers]
         self._margin.step(tick, told)
@@ -162,6 +165,8 @@ class _Safety:
                 self._since.pop(key, None)
                 continue
             bad = inf if isnan(value) else self._badness(value)
+            if not isnan(value):
+                self._spoke.setdefault(key, tick)
             if self._worst is None or bad > self._worst[0]:
                 self._worst = bad, value, unit, tick
             if not isnan(value) and condition.holds(value) != asked.negated:
@@ -173,14 +178,26 @@ class _Safety:
             if (tick - since) * self._tick_ns >= asked.least_ns:
                 failed += unit
                 values.append(value)
+                if isnan(value):
+                    silent.append(key)
         if not values or self.failure:
             return None
         listed = ", ".join(self._show(value) for value in values[:8])
         more = f" and {len(failed) - 8} more" if len(failed) > 8 else ""
         lasting = f", for {self._s(self._longest[0])} s by then" if asked.least_ns > 1 and self._longest else ""
         self.failure = f"{listed}{who(failed[:8])}{more} at {self._s(tick)} s{lasting}"
-        self._first, self._by_then = tick, self._longest
+        self._first, self._by_then, self._silent = tick, self._longest, silent
         return tuple(failed)
+
+    def _then(self, *, over: bool) -> str:
+        """When those had told a number whose silence made it fail; empty: nobody's did."""
+        if not self._silent:
+            return ""
+        times = [self._spoke.get(key) for key in self._silent]
+        late = [at for at in times if at is not None]
+        if len(late) < len(times):
+            return "none came" if over else ""
+        return f"one came by {self._s(max(late))} s"
 
     def found(self, now: int, *, over: bool) -> _Found:
         asked, worst = self._asked, self._worst
@@ -202,7 +219,13 @@ class _Safety:
             _, value, whose, tick = worst
             words = "" if tick == self._first else f"{self._side()} {self._show(value)}{who(list(whose))}"
             words += f" at {self._s(tick)} s" if words else ""
-        return not self.failure, "; ".join(filter(None, (self.failure, words))), value, limit, unit
+        return (
+            not self.failure,
+            "; ".join(filter(None, (self.failure, self._then(over=over), words))),
+            value,
+            limit,
+            unit,
+        )
 
     def margin(self) -> Margin | None:
         if self._worst is None:

@@ -64,9 +64,11 @@ def check(
     refused: list[Problem] = []
     loaded = load_scenario(scenario, [*changes], refused=refused)
     if loaded.nodes:
+        from fleet.analysis import command_lines
         from fleet.analysis import robot_addresses as of_nodes
 
-        found, told, lines = analyse(loaded), list(of_nodes.warnings(loaded)), of_nodes.summary(loaded)
+        found, lines = analyse(loaded), of_nodes.summary(loaded)
+        told = [*command_lines.warnings(loaded), *of_nodes.warnings(loaded)]
     else:
         try_laws(loaded)
         try_plants(loaded)

@@ -64,7 +64,8 @@ def show(result: Result, terminal: Terminal) -> None:
         say(summary(result.timing))
     wall, size = result.wall, result.log_bytes
     hosted = f" over {wall.processes} processes of up to {wall.per_process} agents" if wall.per_process > 1 else ""
-    how = "in-process" if wall.in_process else f"distributed{hosted}, ready in {wall.startup_s:.2f} s"
+    ready = f"ready in {wall.startup_s:.2f} s" if wall.startup_s else "never ready"
+    how = "in-process" if wall.in_process else f"distributed{hosted}, {ready}"
     where = f", t = {result.from_s:g} to {result.sim_s:g} s," if result.from_s else ""
     passed = f"{result.sim_s - result.from_s:g} s"
     if result.punctual is None:

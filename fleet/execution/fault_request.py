@@ -11,7 +11,7 @@ from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.rules.nodes import unfit
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.sections.node_names import numbered_values
+from fleet.scenario.sections.node_names import numbered_values, of_nodes
 from fleet.scenario.sections.triggers import read_entry
 
 BROKEN = 3  # the status of a refusal for which the asker can do nothing
@@ -31,6 +31,13 @@ def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick. Raises RefusedError
     if it is none, or none for this scenario; the text says what is wrong.
     """
+    try:
+        return _checked(entry, tick, scenario)
+    except RefusedError as error:
+        raise RefusedError(of_nodes(str(error), scenario.nodes), error.status) from None
+
+
+def _checked(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     if not isinstance(entry, dict) or "at" in entry:
         raise RefusedError("expected a fault without `at`, because it begins now")
     try:

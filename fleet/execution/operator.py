@@ -69,7 +69,7 @@ class Operator:
                     return self._clock(request)
                 case "stop":
                     self.stopping = True
-                    return {"at_s": self._seconds(self.journal.framed)}
+                    return {"at_s": self._seconds(max(0, self.journal.framed))}
                 case other:
                     raise RefusedError(f"there is no operation {other!r:.40}")
         except RefusedError as error:

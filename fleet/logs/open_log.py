@@ -100,9 +100,9 @@ class Log:
         Raises:
             LogKeyError: the log has no such topic; a `KeyError` as well.
         """
+        if not isinstance(topic, str):
+            raise LogKeyError(f"topics have names such as 'uuv/1/state', got {topic!r}")
         if topic not in self._topics:
-            if not isinstance(topic, str):
-                raise LogKeyError(f"topics have names such as 'uuv/1/state', got {topic!r}")
             hint = nearest(topic, self.topics)
             raise LogKeyError(f"{self.path} has no topic {topic!r}; {hint or 'see .topics for those it has'}")
         return self._topics[topic]

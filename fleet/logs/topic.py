@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
 
 import numpy as np
@@ -198,12 +198,19 @@ class Topic:
             LogKeyError: the topic has no such field; a `KeyError` as well.
         """
         columns = self._decoded
-        if field not in columns:
-            hint = nearest(field, list(columns))
+        it_has = f"it has {', '.join(columns) or 'no message'}"
+        if not isinstance(field, str):
             raise LogKeyError(
-                f"{self.name} has no field {field!r}; {hint or 'it has ' + (', '.join(columns) or 'no message')}"
+                f"{self.name}: fields have names, got {field!r}; {it_has}; each is an array of its samples, as in "
+                f"topic[{next(iter(columns), 't')!r}][0]"
             )
+        if field not in columns:
+            raise LogKeyError(f"{self.name} has no field {field!r}; {nearest(field, list(columns)) or it_has}")
         return columns[field]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the fields, as of a dictionary."""
+        return iter(self.fields)
 
     def __getattr__(self, field: str) -> Array:
         if field.startswith("_"):  # pickle, copy and notebooks ask for names of their own

@@ -29,6 +29,8 @@ from netem.lives import Absence
 from netem.wire.codec import decode
 from netem.wire.messages import Command, Fate, Frame, LinkReport
 
+MOST_OF_NAME = 20  # characters of a node's name in the id of its death: ids have 32
+
 
 class Spell(NamedTuple):
     """A vehicle is tumbled from tick `begin` to before `end` (None: to the end of the run)."""
@@ -81,6 +83,7 @@ class Journal:
         self._planned_deaths = {(absence.vehicle, absence.begin) for absence in scenario.faults.absences}
         self.active: list[str] = []  # faults that last, in the order in which they began
         self._names = {event.fault for event in self._events}  # ids of faults that are taken
+        self._vehicle_name = scenario.vehicle_name
         self.deaths: dict[int, Event] = {}  # vehicle -> a death that was not planned, while it lasts
         self.died: list[Event] = []  # deaths that were not planned and divergences, as they came
         self.diverged: dict[int, Event] = {}  # vehicle -> that its motion left the finite numbers
@@ -212,7 +215,9 @@ class Journal:
                     # This event was not injected, so it comes again when the scenario is run again.
                     self.add_event(self._diverges(i, life.tick))
                     continue
-                self.deaths[i] = Event(life.tick, self._name(f"death-{i}"), "begins", f"kill {i}")
+                who = self._vehicle_name(i)
+                name = self._name(f"death-{who.replace('.', '-')[:MOST_OF_NAME]}")
+                self.deaths[i] = Event(life.tick, name, "begins", f"kill {who}")
                 self.died.append(self.deaths[i])
                 self.add_event(self.deaths[i])
         for tumble in frame.tumbles:

@@ -24,9 +24,13 @@ class LastMessage(Struct, frozen=True):
     heard_s: Annotated[
         float | None, Meta(description="When the newest that arrived on this link had been sent [s]; null: none has.")
     ]
+    silent: Annotated[bool, Meta(description="Whether its sender was gone or paused when the check failed.")] = False
 
     @property
     def words(self) -> str:
+        if self.silent:
+            last = "nothing" if self.heard_s is None else f"what it sent at {self.heard_s:g} s"
+            return f"vehicle {self.src} sends no more, and the last that vehicle {self.dst} has of it is {last}"
         link, when = f"{self.src}->{self.dst}", f"sent at {self.sent_s:g} s"
         if self.fate == Cause.DELIVERED:
             return f"the last message that vehicle {self.dst} received: {link}, {when}, due at {self.at_s:g} s"

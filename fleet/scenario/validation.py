@@ -8,7 +8,8 @@ it.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin
@@ -34,6 +35,7 @@ from fleet.scenario.rules import (
 from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.sections.node_names import of_nodes
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
 from fleet.scenario.trust import READING, Policy
 from fleet.scenario.value_types import Section, section_of
@@ -130,11 +132,13 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
     try:
         spec = ScenarioSpec.model_validate(data)
     except ValidationError as error:
-        report.problems += [_explain(root, detail) for detail in error.errors(include_url=False)]
+        report.problems += _explained(root, error.errors(include_url=False))
         spec = cast(ScenarioSpec, _Partial(ScenarioSpec, data))
     parts = Parts(spec, folder)
     apply_rules(parts, report)
-    return (None if report.problems else parts), report.problems
+    names = report.keys("nodes")
+    told = [replace(problem, message=of_nodes(problem.message, names)) for problem in report.problems]
+    return (None if told else parts), told
 
 
 def apply_rules(parts: Parts, report: Report) -> None:
@@ -177,18 +181,42 @@ class _Partial:
         try:
             return kind.validate_python(value, strict=True)
         except ValidationError as error:
-            section = None if _holds_many(info.annotation) else section_of(info.annotation)
-            locs = [detail["loc"] for detail in error.errors()]
-            entries = {(key,) for key in value} if isinstance(value, dict) else set()
-            if not isinstance(value, dict) or (section is None and any(loc[:1] not in entries for loc in locs)):
-                raise UnknownValueError from None
-            if section is not None:
-                return _Partial(section, value)
-            bad = {loc[0] for loc in locs}
-            try:
-                return kind.validate_python({k: v for k, v in value.items() if k not in bad}, strict=True)
-            except ValidationError:  # what is left is too little, as one node of two
-                raise UnknownValueError from None
+            return _valid_part(info.annotation, kind, value, [detail["loc"] for detail in error.errors()])
+
+
+def _valid_part(annotation: Any, kind: TypeAdapter[Any], value: Any, wrong: list[Loc]) -> Any:
+    """What is valid of a section, or of the entries of a mapping. Raises UnknownValueError: nothing.
+
+    Args:
+        annotation: of the value.
+        kind: reads it.
+        value: as it was written.
+        wrong: the places of its mistakes, from it on.
+    """
+    section = None if _holds_many(annotation) else section_of(annotation)
+    if not isinstance(value, dict) or (section is None and any(not loc or loc[0] not in value for loc in wrong)):
+        raise UnknownValueError
+    if section is not None:
+        return _Partial(section, value)
+    bad = {loc[0] for loc in wrong}
+    try:
+        good = kind.validate_python({key: entry for key, entry in value.items() if key not in bad}, strict=True)
+    except ValidationError:  # what is left is too little, as one node of two
+        raise UnknownValueError from None
+    if (section := _section_of_entries(annotation)) is None:
+        return good
+    nameless, rest = {loc[0] for loc in wrong if loc[1:2] == ("[key]",)}, iter(good.items())
+    # A wrong entry stays, for what names it is no mistake.
+    named = {key: _Partial(section, entry if isinstance(entry, dict) else {}) for key, entry in value.items()}
+    return dict((key, named[key]) if key in bad else next(rest) for key in value if key not in nameless)
+
+
+def _section_of_entries(annotation: Any) -> type[Section] | None:
+    """The section that each entry of a mapping is; None: there is none, or it may be written otherwise, too."""
+    if get_origin(annotation) is dict:
+        entry = get_args(annotation)[1]
+        return entry if isinstance(entry, type) and issubclass(entry, Section) else None
+    return next(filter(None, map(_section_of_entries, get_args(annotation))), None)
 
 
 @cache
@@ -196,7 +224,45 @@ def _kind(section: type[Section], name: str) -> TypeAdapter[Any]:
     return TypeAdapter(section.model_fields[name].rebuild_annotation())
 
 
-def _explain(root: Mapping, error: ErrorDetails) -> Problem:
+def _explained(root: Mapping, errors: Sequence[ErrorDetails]) -> list[Problem]:
+    """The problems in words. A key that is missing because it is misspelt is told once: where it is."""
+    errors = [error for error in errors if not _is_of_another_form(error, errors)]
+    meant: dict[Loc, str] = {}  # by the place of an unknown key
+    for error in errors:
+        if error["type"] == "extra_forbidden":
+            loc, section = error["loc"], error["loc"][:-1]
+            missing, unknown = (_keys_of(errors, kind, section) for kind in ("missing", "extra_forbidden"))
+            near = [key for key in missing if nearest(str(loc[-1]), [key])]
+            if section and len(missing) == len(unknown) == 1:  # whatever it is called: `command` for `run`
+                near = missing
+            meant.update((loc, key) for key in near[:1])
+    told = {(*loc[:-1], key) for loc, key in meant.items()}
+    return [
+        _explain(root, error, meant.get(error["loc"], ""))
+        for error in errors
+        if error["type"] != "missing" or error["loc"] not in told
+    ]
+
+
+def _is_form(step: str | int) -> bool:
+    """Whether a step of a path in the model names one of several forms: the class of a section, or what reads texts."""
+    return isinstance(step, str) and (step[:1].isupper() or step.startswith("function-"))
+
+
+def _is_of_another_form(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+    """Whether a value that may be a section or a text was read as the other one, and is told as what it is, too."""
+    *before, form = error["loc"]
+    if not _is_form(form) or (error["type"] == "model_type") is isinstance(error["input"], dict):
+        return False
+    return any(other is not error and other["loc"][: len(before)] == (*before,) for other in errors)
+
+
+def _keys_of(errors: Sequence[ErrorDetails], kind: str, section: Loc) -> list[str]:
+    return [str(error["loc"][-1]) for error in errors if error["type"] == kind and error["loc"][:-1] == section]
+
+
+def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
+    """A problem in words; `meant`: the key that an unknown one stands for, if that is known."""
     loc = error["loc"]
     path = _in_file(root, loc)
     context, value = error.get("ctx", {}), error["input"]
@@ -209,7 +275,8 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
             return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}', hint, name)
         case "extra_forbidden":
             place = locate(root, path, key=True)
-            return place.problem(f'unknown key "{_short(name)}"', _nearest_key(loc), name)
+            hint = f'did you mean "{meant}"?' if meant else _nearest_key(loc)
+            return place.problem(f'unknown key "{_short(name)}"', hint, name)
         case "mistake":
             if path[-1] == "[key]":
                 path = path[:-1]
@@ -235,8 +302,8 @@ def _explain(root: Mapping, error: ErrorDetails) -> Problem:
 def _in_file(root: Mapping, loc: Loc) -> Loc:
     """The path in the file of a path in the model.
 
-    The model has a step more for the form of `initial`, for checks in Python, and for an entry that the file writes
-    without its list.
+    The model has a step more for the form of `initial` and of what may be a section or a text, for checks in Python,
+    and for an entry that the file writes without its list.
     """
     if loc[0] == "initial" and len(loc) > 1:
         return loc[:1] + loc[2:]
@@ -244,6 +311,8 @@ def _in_file(root: Mapping, loc: Loc) -> Loc:
     node: Node | None = root
     for step in loc:
         if step == PYTHON or (isinstance(node, Mapping) and isinstance(step, int)):
+            continue
+        if _is_form(step) and not (isinstance(node, Mapping) and step in node.entries):
             continue
         path += (step,)
         if isinstance(node, Mapping):

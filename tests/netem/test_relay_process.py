@@ -236,14 +236,15 @@ def test_what_the_console_watches_is_told_whether_the_network_carries_it_or_not(
     assert (fates, report.until) == ([], 200)  # it ends by itself
 
 
-def test_a_fault_that_comes_just_before_the_run_begins_is_kept() -> None:
-    """The network of the time before it forgets all else."""
+def test_a_fault_that_comes_before_the_run_begins_is_kept_and_begins_with_it() -> None:
+    """The network of the time before it forgets all else, and has no faults."""
     served = Served([(1, 3)], begins=False)
-    begin = monotonic_ns() + 150_000_000
-    served.tell(op="begin", at_ns=begin)
     served.tell(op="faults", faults=[fault_values(NetFault("f", 0, None, "down", ((1, 3),)))])
+    wait_for(lambda: served.process._faults, LIMIT_S, "the fault")
     served.queue.put(put(1, b"before"))
-    process = served.process
+    wait_for(lambda: served.robots[3].taken, LIMIT_S, "what was sent before")
+    begin, process = monotonic_ns() + 20_000_000, served.process
+    served.tell(op="begin", at_ns=begin)
     wait_for(lambda: process._relay._begin_ns == begin, LIMIT_S, "the network of the run")
     served.queue.put(put(1, b"x"))
     wait_for(served.queue.empty, LIMIT_S, "what is taken")

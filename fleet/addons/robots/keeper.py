@@ -32,6 +32,7 @@ MOST_LINE = 65_536  # bytes; a longer line is cut
 MOST_LOG = 16 * 2**20  # bytes of one program that are kept; so it cannot fill the disk
 MOST_READ = 1 << 16  # a pipe holds no more, so that one reading takes all that was in it
 TAIL = 12
+AGAIN = "--- started again ---"  # a line of the log, where another life begins
 IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LIBC = ctypes.CDLL(None)
@@ -150,6 +151,7 @@ class Program:
         self.process: Any = None
         self._ready_ns: int | None = None  # when it became ready
         self._started_ns = 0
+        self._lives = 0
         self._over = False  # it has ended by itself
         self._killed = self._paused = False
         self._dead: list[list[int | None]] = []  # when it has to be gone: from and until [ns]; None: to the end
@@ -241,6 +243,9 @@ class Program:
             return
         finally:
             os.close(theirs)
+        if self._lives:
+            self._keep(now, AGAIN)
+        self._lives += 1
         self._output = ours
         self._keeper.began(self, ours)
         self._keeper.say(at=now, started=self.name, pid=self.process.pid)

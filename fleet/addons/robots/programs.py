@@ -13,11 +13,13 @@ from heapq import heappop, heappush
 from math import isfinite, nan
 from pathlib import Path
 from shlex import quote
+from signal import SIGKILL
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
 from fleet.addons.robots import keeper
 from fleet.addons.robots.message_values import NoNumber, reader
+from fleet.analysis.command_lines import search_path
 from fleet.errors import RunBroken
 from fleet.processes.children import describe_exit
 from fleet.result.verdict import Verdict
@@ -31,7 +33,11 @@ from netem.relay_process import MOST_NOTES
 from netem.wire.messages import WorldFault
 
 BEFORE_NS = 500_000_000  # from the start of the keeper until every program has begun, where {begin_s} is told before
+COMPOSE_S = 0.05  # between two looks at the operator while docker works
+FEW_LINES = 3  # of a program that ends while the run goes on: others may, too
+PATIENCE_NS = 1_000_000_000  # until the user is told who is waited for at the end
 STOP_S = 3.0  # for the keeper, beside the time that programs have to stop
+MOST_NAMES = 8  # of programs or nodes in one line
 _EARLY = "{begin_s}"
 _LOGS = ("keeper", "relay")  # of the run, beside those of programs
 _NEVER = "(?!)"  # a line has no match of it: something else says that the program is ready
@@ -82,8 +88,10 @@ class Programs:
             for name, node, section in programs_of(spec.programs or {}, nodes)
         }
         self._signals = {i: told_by(spec, i) for i in range(1, len(nodes) + 1)}
-        self._values = {i: [nan] * len(told) for i, told in self._signals.items()}
-        self._counts = {i: [0] * len(told) for i, told in self._signals.items()}
+        self._values: dict[int, list[float]] = {}
+        self._counts: dict[int, list[int]] = {}
+        for i in self._signals:
+            self._forget(i)
         self.watched: list[Watched] = []  # what the relay has to look for
         self._meanings: list[tuple[str, int, int, Any]] = []  # of each: what it is about, node, signal, its reader
         self._watch()
@@ -94,10 +102,13 @@ class Programs:
         self._count = 0
         self.known_ns = 0 if self.states else 2**63  # everything up to this time has been told
         self.begin_ns: int | None = None
-        self._notes: list[str] = []
+        self.notes: list[str] = []
+        self._unread: set[int] = set()  # what is watched and has had a message without a number
+        self._spoken: set[str] = set()  # the signals of which some node has told a number
         self.cpu_s = 0.0
         self.said: list[Ended] = []  # since the last frame
         self._over_ns = 2**63
+        self._stubborn: list[str] = []  # programs that had to be killed when they were to stop
 
     @property
     def any(self) -> bool:
@@ -124,9 +135,14 @@ class Programs:
 
     # Before the run begins.
 
-    def start(self, addresses: Mapping[str, str], modems: Mapping[str, str]) -> None:
-        """Start the programs. `addresses`, `modems`: where they meet us, and open a modem, by node. Raises RunBroken:
-        the keeper cannot start."""
+    def start(self, addresses: Mapping[str, str], modems: Mapping[str, str], meanwhile: Callable[[], None]) -> None:
+        """Start the programs. Raises RunBroken: the keeper cannot start, or docker refuses.
+
+        Args:
+            addresses: where they meet us, by node.
+            modems: where they open a modem, by node.
+            meanwhile: called again and again while docker brings containers up, which may take minutes.
+        """
         if not self.states:
             return
         after = max((state.section.ready.after or 0 for state in self.states.values()), default=0)
@@ -135,7 +151,7 @@ class Programs:
         self._planned_ns = planned_ns if uses else None
         values = [self._values_of(state, addresses, modems, planned_ns) for state in self.states.values()]
         self._composed = True  # also one that fails may have begun something
-        self._compose("up", "-d", "--wait")
+        self._compose("up", "-d", "--wait", meanwhile=meanwhile)
         try:
             self._keeper = subprocess.Popen(
                 [sys.executable, "-I", keeper.__file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -164,7 +180,7 @@ class Programs:
             "dir": self._directory, "domain": os.environ.get("ROS_DOMAIN_ID", "0"),
         }  # fmt: skip
         env = dict(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
-        env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env.get('PATH', os.defpath)}"
+        env["PATH"] = search_path()
         env |= {"PYTHONUNBUFFERED": "1", "ROS_DOMAIN_ID": str(known["domain"])}
         if listen:
             env |= {
@@ -253,14 +269,16 @@ class Programs:
             try:
                 value = None if how is None else how(message.key, message.payload)
             except NoNumber as error:
-                name = list(self._signals[node])[place]
-                self._note(f"{self._scenario.nodes[node - 1]}: signal {name}: {message.key:.80}: {error}")
+                if message.which not in self._unread:  # the next one is wrong at another place
+                    self._unread.add(message.which)
+                    name = list(self._signals[node])[place]
+                    self._note(f"{self._scenario.nodes[node - 1]}: signal {name}: {message.key:.80}: {error}")
                 continue
             self._put(message.at_ns, {"told": node, "signal": place, "value": value})
 
     def _note(self, text: str) -> None:
-        if text not in self._notes and len(self._notes) < MOST_NOTES:
-            self._notes.append(text)
+        if len(self.notes) < MOST_NOTES:
+            self.notes.append(text)
             self._print(text)
 
     def advance(self, to_ns: int) -> None:
@@ -273,6 +291,7 @@ class Programs:
                     self._counts[node][place] += 1
                     number = float(self._counts[node][place]) if value is None else value
                     self._values[node][place] = number if isfinite(number) else nan
+                    self._spoken.add(list(self._signals[node])[place])
                 case {"started": name, "pid": pid}:
                     self._starts(self.states[name], pid, at_ns)
                 case {"ready": name}:
@@ -286,23 +305,30 @@ class Programs:
         if state.ended:
             self.said.append(Ended(at_ns, state.node, begins=True))
         state.pid, state.since_ns, state.ready, state.ended = pid, at_ns, False, ""
-        self._values[state.node] = [nan] * len(self._values[state.node])
-        self._counts[state.node] = [0] * len(self._counts[state.node])
+        self._forget(state.node)
+
+    def _forget(self, node: int) -> None:
+        """A node has told nothing yet: of that, the number of its lines and messages is known."""
+        told = self._signals[node].values()
+        self._values[node] = [0.0 if section.count else nan for section in told]
+        self._counts[node] = [0] * len(told)
 
     def _ends(self, state: ProgramState, code: int, tail: list[str], at_ns: int) -> None:
         state.pid, state.ready, state.code, state.tail = None, False, code, tail
         how = describe_exit(code)
+        if at_ns >= self._over_ns:  # the run is over, and stops it
+            if code == -SIGKILL and state.section.stop.signal != "KILL":
+                self._stubborn.append(state.name)
+            return
         if self.begin_ns is None:
             state.ended = how
             return
-        if at_ns >= self._over_ns:
-            return  # the run is over, and stops it
         at_s = (at_ns - self.begin_ns) / 1e9
         state.ended = f"{how} at {at_s:.2f} s"
         if self._is_fine(state):
             return
         self.said.append(Ended(at_ns, state.node))
-        self._print("\n".join([f"{state.name} {how} at t = {at_s:.2f} s", *self._tail_of(state)]))
+        self._print("\n".join([f"{state.name} {how} at t = {at_s:.2f} s", *self._tail_of(state, FEW_LINES)]))
 
     def _wanted(self, state: ProgramState) -> str:
         return wanted(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
@@ -315,9 +341,9 @@ class Programs:
         name = f"{state.name}+" if state.name in _LOGS else state.name.replace("/", "+")
         return self._directory / "log" / f"{name}.log"
 
-    def _tail_of(self, state: ProgramState) -> list[str]:
-        where = self._log_of(state)
-        return [f"last lines of {where}:", *(f"  {line}" for line in state.tail or ["(nothing printed)"])]
+    def _tail_of(self, state: ProgramState, most: int = keeper.TAIL) -> list[str]:
+        lines = state.tail[-most:] or ["(nothing printed)"]
+        return [f"last lines of {self._log_of(state)}:", *(f"  {line}" for line in lines)]
 
     def values(self, node: int) -> tuple[float, ...] | None:
         """What a node has told last, in the order of its signals; None: it has no program that runs and is ready."""
@@ -359,27 +385,38 @@ class Programs:
         """The run is over at a time [ns]: what ends later is no failure."""
         self._over_ns = at_ns
 
-    def close(self) -> None:
-        """Stop the programs, and kill those that do not stop in time. Nothing of them is left."""
+    def close(self, hurry: Callable[[], object] = lambda: None) -> None:
+        """Stop the programs, and kill those that do not stop in time. Nothing of them is left.
+
+        Args:
+            hurry: whether the user does not want to wait for them any more.
+        """
         if self._keeper is not None:
-            self._stop(self._keeper)
+            self._stop(self._keeper, hurry)
         self._keeper = None
         if self._composed:
             self._composed = False
             self._compose("down")
 
-    def _stop(self, kept: subprocess.Popen[bytes]) -> None:
+    def _stop(self, kept: subprocess.Popen[bytes], hurry: Callable[[], object]) -> None:
         self._over_ns = min(self._over_ns, monotonic_ns())
         self._tell(stop=True)
         within_s = max((state.section.stop.within / 1e9 for state in self.states.values()), default=0.0)
         assert kept.stdin is not None
-        deadline = monotonic_ns() + round((within_s + STOP_S) * 1e9)
+        began, told = monotonic_ns(), False
+        deadline = began + round((within_s + STOP_S) * 1e9)
         with suppress(RunBroken):
-            while kept.poll() is None and monotonic_ns() < deadline:
+            while kept.poll() is None and monotonic_ns() < deadline and not hurry():
                 self.hear()
+                if not told and monotonic_ns() > began + PATIENCE_NS:
+                    told = True
+                    self._print(f"programs have {within_s:g} s to stop; Ctrl-C kills them at once")
                 with suppress(subprocess.TimeoutExpired):
                     kept.wait(0.02)
             self.hear()
+        self.advance(2**63)
+        if self._stubborn:
+            self._note(f"{some(self._stubborn)} did not stop in time and had to be killed: see stop")
         kept.stdin.close()  # it kills what is left
         with suppress(subprocess.TimeoutExpired):
             kept.wait(STOP_S)
@@ -387,6 +424,17 @@ class Programs:
         kept.wait()
         if kept.stdout is not None:
             kept.stdout.close()
+
+    def silent(self) -> list[str]:
+        """A note for each signal of which no node has told a number. A number of lines or messages needs none."""
+        found = []
+        for name, section in (self._scenario.spec.signals or {}).items():
+            nodes = [self._scenario.nodes[i - 1] for i, told in self._signals.items() if name in told]
+            if section.count or name in self._spoken or not nodes:
+                continue
+            what = "line" if section.message is None else f"message on {section.message}"
+            found.append(f"signal {name}: no {what} of {some(nodes)} had a number")
+        return found
 
     def verdict(self) -> Verdict | None:
         """Whether all programs ran, or did their work; None: there are none."""
@@ -420,7 +468,7 @@ class Programs:
             self._keeper.stdin.write(json.dumps(values).encode() + b"\n")
             self._keeper.stdin.flush()
 
-    def _compose(self, *words: str) -> None:
+    def _compose(self, *words: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Bring what a compose file names up or down. Raises RunBroken: docker is not here, or refuses."""
         file = self._scenario.spec.compose
         if file is None:
@@ -428,11 +476,28 @@ class Programs:
         name = f"fleet-{self._directory.name}".lower()
         command = ["docker", "compose", "-p", name, "-f", file, *words]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+            docker = subprocess.Popen(
+                command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace"
+            )
         except FileNotFoundError:
             raise RunBroken("compose needs docker, which is not here: install it, or leave compose out") from None
-        if done.returncode and words[0] == "up":
-            raise RunBroken(f"{' '.join(map(quote, command))} failed", done.stderr.splitlines()[-12:])
+        with docker:
+            said: str | None = None
+            try:
+                while said is None:
+                    meanwhile()
+                    with suppress(subprocess.TimeoutExpired):
+                        _, said = docker.communicate(timeout=COMPOSE_S)
+            except BaseException:
+                docker.terminate()  # who ends the run waits for no download
+                raise
+        if docker.returncode and words[0] == "up":
+            raise RunBroken(f"{' '.join(map(quote, command))} failed", said.splitlines()[-12:])
+
+
+def some(names: Sequence[str]) -> str:
+    """The first names of some, and how many there are beside them."""
+    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
 
 
 def _last_lines(file: Path) -> list[str]:

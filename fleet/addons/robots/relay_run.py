@@ -19,14 +19,15 @@ import msgpack
 import msgspec
 
 from fleet.addons.robots.message_log import MessageLog, place_of
-from fleet.addons.robots.programs import Programs
+from fleet.addons.robots.programs import Programs, some
 from fleet.analysis.robot_addresses import lines
-from fleet.errors import FleetError, RunBroken
+from fleet.errors import FleetError, RunBroken, StoppedError
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
 from fleet.execution.operator import Operator
 from fleet.execution.runner import Closing
 from fleet.processes.children import Children, Exit, describe_exit
+from fleet.processes.interrupts import holding_interrupts
 from fleet.processes.run_folder import RunFolder
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile, NoLog
@@ -150,7 +151,7 @@ class RelayRun:
         self._children = Children(self._exits.put)
         self._requests: SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = SimpleQueue()
         self._pipe, self._theirs = Pipe()
-        self._begin_ns = 0
+        self._begin_ns = 2**63  # when tick 0 begins; nobody knows it before the programs are ready
         self._ended = False
         self._relay_cpu_s = 0.0
         self._until = -1  # the relay has told everything up to this tick
@@ -169,29 +170,38 @@ class RelayRun:
 
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
         """Run to the end, or until the operator or Ctrl-C ends it, which is how most runs end. Raises RunBroken: the
-        relay ended, or could not begin.
+        relay ended, or could not begin; StoppedError, KeyboardInterrupt: it was ended before t = 0, so there is nothing
+        to judge.
         """
         began, folder, bus = time.monotonic(), RunFolder(), None
         try:
             self._start(progress)
             bus = self._admit(folder)
-            self._begin(progress)
-            self.started_s = time.monotonic() - began
             operator = Operator(self._scenario, self._journal, LiveClock(policy, time.monotonic()), self)
+            self._begin(operator, progress)
+            self.started_s = time.monotonic() - began
             try:
                 self._record(operator, progress)
-            except KeyboardInterrupt:
+            except (StoppedError, KeyboardInterrupt):
+                if not self._begun:
+                    raise
                 self._tell(op="close")
             self._take_rest(progress)
+        except (StoppedError, KeyboardInterrupt):
+            if not self._begun:
+                self._note(self._ended_early())
+            raise
         finally:
-            self._programs.close()
-            if self._programs.states:
-                self.closing.cpu_s = self._relay_cpu_s + self._programs.cpu_s + time.process_time()
-            self._children.stop()
-            if bus is not None:  # an open session would keep this process from ending
-                bus.close()
-            self._directory.connection.unlink(missing_ok=True)
-            folder.close()
+            with holding_interrupts() as came:  # otherwise processes stay, and an open session keeps us from ending
+                self._programs.close(came)
+                self.notes += self._programs.notes
+                if self._programs.states:
+                    self.closing.cpu_s = self._relay_cpu_s + self._programs.cpu_s + time.process_time()
+                self._children.stop()
+                if bus is not None:
+                    bus.close()
+                self._directory.connection.unlink(missing_ok=True)
+                folder.close()
 
     def _start(self, progress: Callable[[], None]) -> None:
         free = without_address(self._scenario.spec.nodes or {})
@@ -222,25 +232,30 @@ class RelayRun:
         ):  # not before: a program that comes too early is refused
             self._print(line)
 
-    def _begin(self, progress: Callable[[], None]) -> None:
+    def _begin(self, operator: Operator, progress: Callable[[], None]) -> None:
         """Fix when tick 0 begins: at once, or when all programs are ready. Raises RunBroken: one is not ready."""
+
+        def meanwhile() -> None:
+            self._answer(operator)
+            self._explain_exit()
+            progress()
+
         programs = self._programs
         if not programs.states:
             self._begin_ns = programs.begins(LEAD_NS)
             self._tell(op="begin", at_ns=self._begin_ns)
             return
         self._tell(op="rehearse", at_ns=None)
-        programs.start(self._addresses, self._modems)
+        self.waiting = "starting the programs"
+        programs.start(self._addresses, self._modems, meanwhile)
         while True:
             programs.hear()
             if not (unready := programs.unready()):
                 break
-            shown = ", ".join(unready[:8]) + (f" and {len(unready) - 8} more" if len(unready) > 8 else "")
-            self.waiting = f"waiting for {shown} to be ready"
+            self.waiting = f"waiting for {some(unready)} to be ready"
             if self._pipe.poll(POLL_S):
                 self._take()
-            self._explain_exit()
-            progress()
+            meanwhile()
         self.waiting = ""
         self._begin_ns = programs.begins(LEAD_NS)
         self._tell(op="begin", at_ns=self._begin_ns)
@@ -271,9 +286,6 @@ class RelayRun:
             if operator.faults is not self._planned:
                 self._planned = operator.faults
                 self._programs.plan(self._planned, self._scenario.tick_ns)
-            if operator.stopping:
-                self._tell(op="close")
-                return
             if (now := time.monotonic()) - pinged > PING_S:
                 pinged = now
                 self._tell(op="ping", at_ns=monotonic_ns())
@@ -293,6 +305,8 @@ class RelayRun:
         self._frames()
         behind_s = (monotonic_ns() - self._begin_ns - self._journal.reported * self._scenario.tick_ns) / 1e9
         self.waiting = f"the relay is behind, by {behind_s:.1f} s" if behind_s > BEHIND_S else ""
+        if not self._begun and self._programs.states:
+            self.waiting = f"all programs are ready, and t = 0 comes in {-behind_s:.0f} s"
         self._explain_exit()
         progress()
         return True
@@ -359,6 +373,7 @@ class RelayRun:
         if (verdict := programs.verdict()) is not None:
             self.closing.verdicts.append(verdict)
         self.deaths = programs.deaths()
+        self.notes += programs.silent()
 
     def _frames(self, *, whole: bool = False) -> None:
         """Write the frames up to where relay and programs have told everything. `whole`: up to the end of the run."""
@@ -403,6 +418,16 @@ class RelayRun:
         if moved:
             self._tell(op="places", places=moved)
 
+    @property
+    def _begun(self) -> bool:
+        return monotonic_ns() >= self._begin_ns
+
+    def _ended_early(self) -> str:
+        """In words, what the end of a run before its t = 0 has ended."""
+        names = some([name for name, state in self._programs.states.items() if state.runs])
+        state = f" ({self.waiting})" if self.waiting else ""
+        return f"the run ended before t = 0{state}" + (f", and its programs with it: {names}" if names else "")
+
     def _note(self, text: str) -> None:
         self.notes.append(text)
         self._print(text)
@@ -410,8 +435,9 @@ class RelayRun:
     # --- commands
 
     def _answer(self, operator: Operator) -> None:
+        """Answer the requests that have come. Raises StoppedError: one of them was to stop."""
         try:
-            while True:
+            while not operator.stopping:
                 data, respond = self._requests.get_nowait()
                 try:
                     answer = operator.handle(read_map(data))
@@ -420,6 +446,7 @@ class RelayRun:
                 respond(msgpack.packb(answer))
         except Empty:
             return
+        raise StoppedError
 
     @property
     def granted(self) -> int:

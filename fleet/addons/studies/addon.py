@@ -26,5 +26,9 @@ ADDON = AddOn(
     other_options={
         ("run", "--seeds"): "fleet sweep SCENARIO --seeds 20 makes a run with each seed",
         ("run", "--vary"): "fleet sweep SCENARIO --vary 'KEY=VALUES' makes a run with each value",
+        ("sweep", "--runs"): "--seeds 20 makes 20 runs of each point",
+        ("boundary", "--runs"): "--seeds 100 makes 100 runs at most",
+        ("search", "--runs"): "--budget 100 tries 100 seeds at most",
+        ("shrink", "--runs"): "--budget 100 makes 100 runs at most",
     },
 )

@@ -96,11 +96,25 @@ def local_engine(workers: int | None, tell: Callable[[str], None] = warnings.war
 
 
 def engine_of(
-    workers: int | None = None, scheduler: Any = None, tell: Callable[[str], None] = warnings.warn
+    modules: Modules,
+    workers: int | None = None,
+    scheduler: Any = None,
+    tell: Callable[[str], None] = warnings.warn,
 ) -> AbstractContextManager[Engine]:
-    """The engine that was asked for. `workers`: of this machine; None: one per core. `scheduler`: of an existing Dask
-    cluster, to be used instead: its address, or a cluster object. `tell`: gets sentences on how the runs go. Raises
-    RunBroken: there cannot be so many workers here; StudyError: the cluster cannot be used."""
+    """The engine that was asked for.
+
+    Args:
+        modules: what the runs need.
+        workers: of this machine; None: one per core.
+        scheduler: of an existing Dask cluster, to be used instead: its address, or a cluster object.
+        tell: gets sentences on how the runs go.
+
+    Raises:
+        RunBroken: there cannot be so many workers here.
+        StudyError: the cluster cannot be used, or cannot make such runs.
+    """
+    if modules.programs and scheduler is not None:  # before anybody looks for it
+        raise StudyError("programs of a stack run on this machine alone: leave --scheduler out")
     return local_engine(workers, tell) if scheduler is None else dask_engine(scheduler)
 
 
@@ -131,8 +145,6 @@ class DaskEngine:
     here: bool = False
 
     def carry(self, modules: Modules) -> Modules:
-        if modules.programs:
-            raise StudyError("programs of a stack run on this machine alone: leave --scheduler out")
         if not modules.names:
             return modules
         ready = packed(modules)

@@ -282,7 +282,7 @@ def sweep(
     directory = new_directory(str(scenario)) if out is None else Path(out)
     with trusting(trust):
         store, modules = prepare(plan_of(spec, study.origin), directory, spec)
-    with engine_of(workers, scheduler) as engine:
+    with engine_of(modules, workers, scheduler) as engine:
         run_study(store, engine, progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s)
     return Study(store)
 
@@ -387,6 +387,6 @@ def boundary(
     directory = new_directory(str(scenario)) if out is None else Path(out)
     with trusting(trust):
         store, modules = prepare_borders(border_plan(str(scenario), spec), spec, directory)
-    with engine_of(workers, scheduler) as engine:
+    with engine_of(modules, workers, scheduler) as engine:
         find_borders(Borders(store), engine, progress, modules=modules, timeout_s=spec.timeout_s)
     return Boundary(store)

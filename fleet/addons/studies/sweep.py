@@ -316,7 +316,7 @@ def _keep_logs(work: Work, like: Task, kept: KeepLogs) -> None:
         progress.new += len(made)
         work.wait()
 
-    with nullcontext(work.engine) if work.engine.here else engine_of() as engine:
+    with nullcontext(work.engine) if work.engine.here else engine_of(NO_MODULES) as engine:
         again = (task_of(store.points[n], seed, like, str(store.log_of(n, seed))) for n, seed in digests)
         engine.make(again, take, work.wait)
 

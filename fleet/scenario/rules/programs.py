@@ -6,9 +6,10 @@ from pathlib import Path
 
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
-from fleet.scenario.schema.programs import filled, nodes_of, programs_of
+from fleet.scenario.schema.programs import OF_KEYS, PLACEHOLDERS, filled, no_placeholder, nodes_of, programs_of
 from netem.parsing import nearest
 
+_LIKE = 0.8  # {nodes} and {node}, and not {code}
 _OF_PROGRAMS = ("begin", "signals", "compose")
 
 
@@ -34,7 +35,14 @@ def programs(parts: Parts, report: Report) -> None:
         folder = Path(parts.folder or "", section.folder or "")
         if not folder.is_dir():
             report.add((*path, "in"), f"there is no folder {folder}", "it is looked for from the folder of the file")
+        filled_in = {("run",): " ".join(section.run)} | {("env", name): text for name, text in section.env.items()}
+        for where, text in filled_in.items():
+            if wrong := no_placeholder(text, PLACEHOLDERS, _LIKE):
+                report.add((*path, *where), wrong)
         ready = section.ready
+        for kind in ("key", "token"):
+            if wrong := no_placeholder(getattr(ready, kind) or "", OF_KEYS):
+                report.add((*path, "ready", kind), wrong)
         given = [kind for kind in ("line", "token", "key", "port", "after") if getattr(ready, kind) is not None]
         if len(given) > 1:
             report.add((*path, "ready"), f"expected one condition, got {' and '.join(given)}")
@@ -65,7 +73,18 @@ def signals(parts: Parts, report: Report) -> None:
         if not found:
             report.add(("signals", name, "of"), f"there is no node {section.of}", _known(section.of, nodes))
         key = section.message
-        if key is None or key.startswith("udp/"):
+        if key is None:
+            continue
+        if wrong := no_placeholder(key, OF_KEYS):
+            report.add(("signals", name, "message"), wrong)
+            continue
+        if key.startswith("udp/"):
+            ports = {node: [f"udp/{port}" for port in (spec.nodes or {})[node].udp] for node in found}
+            keys = [filled(key, {"node": node, "number": nodes.index(node) + 1}) for node in found]
+            if found and not any(one in ports[node] for one, node in zip(keys, found, strict=True)):
+                known = ", ".join(port for some in ports.values() for port in some)
+                hint = f"they have {known}" if known else "nodes: {NODE: {udp: {PORT: ...}}}"
+                report.add(("signals", name, "message"), f"none of its nodes has the port {keys[0]}", hint)
             continue
         if section.ros is not None:
             key = key.strip("/")  # of a topic, which ROS names with a slash in front

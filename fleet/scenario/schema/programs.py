@@ -15,17 +15,36 @@ from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
 from fleet.scenario.schema.nodes import Flag
 from fleet.scenario.value_types import Section, mistake
+from netem.parsing import nearest
 
 PLACEHOLDERS = ("listen", "zenoh", "modem", "node", "number", "seed", "begin_s", "duration_s", "dir", "domain")
 READY_WITHIN_NS, STOP_WITHIN_NS = 20_000_000_000, 5_000_000_000
 _PROGRAM = re.compile(r"[\w.*?-]{1,64}(/[A-Za-z][\w.-]{0,31})?", re.ASCII)
 _SIGNAL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}", re.ASCII)
+_BRACED = re.compile(r"(?<!\$)\{([A-Za-z]\w*)\}", re.ASCII)
+OF_KEYS = ("node", "number")  # placeholders that keys have
 _FORMATS = ("json", "msgpack", "cbor", "ros", "struct")
 
 
 def filled(text: str, values: Mapping[str, object]) -> str:
     """A text with values in place of `{node}` and other placeholders; other braces stay as they are."""
     return re.sub(rf"\{{({'|'.join(PLACEHOLDERS)})\}}", lambda found: str(values.get(found[1], found[0])), text)
+
+
+def no_placeholder(text: str, known: Sequence[str], likeness: float = 0.0) -> str:
+    """What is wrong with the first word in braces that looks like a placeholder and is none of the known ones, or an
+    empty text.
+
+    Args:
+        text: in which they are filled in.
+        known: the placeholders that mean something there.
+        likeness: how near it has to be to a known one. Command lines may have other braces, as those of JSON.
+    """
+    for word in _BRACED.findall(text):
+        hint = nearest(word, known, likeness) if likeness else " and ".join(f"{{{each}}}" for each in known) + " are"
+        if word not in known and hint:
+            return f"{{{word}}} is no placeholder: {hint}"
+    return ""
 
 
 def _key(value: Any) -> Any:

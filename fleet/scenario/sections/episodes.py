@@ -10,7 +10,8 @@
 | target | one vehicle, a minority, a majority, all but one; a side of the last partition, perhaps but for one vehicle |
 | | or with one more; those of the fault before |
 
-In the last episode of a run every fourth partition and kill lasts to the end of the run. If partitions may be drawn, in
+In the last episode of a run every fourth partition and kill lasts to the end of the run; but kills leave one vehicle
+that lives, or is started again. If partitions may be drawn, in
 a third of the episodes all faults cut off one vehicle each. For these the chance of a pattern is known (`chance`): its
 faults, in any order, must get the right vehicles and units. (C. Dragoi and others, "Testing consensus implementations
 using communication closure", OOPSLA 2020, has the bound for a uniform choice of process and round.)
@@ -143,6 +144,7 @@ class _Drawn:
         self._isolates = isolates
         self._nemesis, self._ground, self._draws, self._unit = nemesis, ground, draws, unit_ns
         self._taken = {fault.id for fault in ground.spec.faults} | {one.id for one in ground.spec.triggers}
+        self._gone = set[int]()  # vehicles that a kill ends for good
         self.faults: list[FaultSection] = []
         self.triggers: list[TriggerSection] = []
         self.of_episodes, self.of_faults = Counter[str](), Counter[str]()  # how many of each kind
@@ -168,14 +170,20 @@ class _Drawn:
             if k > first and not isolates and draws.share(k, _THEN) < 0.5:
                 at = max(begin, times[draws.among(2, k, _THEN)] // self._ground.round_ns * self._ground.round_ns)
             at = min(at, begin + UNITS * self._unit - self._ground.round_ns)
-            lasts: int | None = self._length(k, begin + UNITS * self._unit - at)
-            if last and not isolates and kind in _FOR_GOOD and draws.share(k, _GOOD) < 0.25:
-                lasts = None
+            length = self._length(k, begin + UNITS * self._unit - at)
+            for_good = last and not isolates and kind in _FOR_GOOD and draws.share(k, _GOOD) < 0.25
+            lasts = None if for_good else length
             waits = self._nemesis.watch and self._ground.spec.vehicles > 1 and not isolates
             if waits and draws.share(k, _WATCH) < 1.0 / 3.0:
                 self._wait(k, kind, at, begin, lasts)
                 continue
             who = [1 + draws.among(self._ground.spec.vehicles, k, _WHO)] if isolates else self._target(k, side, before)
+            if for_good and kind == "kill":
+                gone = self._gone | {*who}
+                if len(gone) < self._ground.spec.vehicles:
+                    self._gone = gone
+                else:  # nobody would be left to judge
+                    lasts = length
             times = at, at + (lasts or 0)
             if kind == "partition":
                 side = who

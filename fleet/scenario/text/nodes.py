@@ -12,9 +12,11 @@ from math import cos, pi, sin
 from typing import Any
 
 from fleet.errors import Problem
+from fleet.quantities import LENGTH, QuantityError, vector
 from fleet.scenario.schema.nodes import NAME, RESERVED
 from fleet.scenario.sections.node_names import FREE, named_values, numbered
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, TextPlace
+from netem.parsing import nearest
 
 KEYS = (
     "name", "title", "nodes", "programs", "compose", "begin", "signals", "carry", "discovery", "lost_after", "header",
@@ -26,6 +28,7 @@ UNTIL_STOPPED = "86400 s"
 TICK, TICK_IN_WATER = "1 ms", "10 ms"
 _ROUND = "100 ms"
 _RADIUS_M = 50.0  # nodes without a place are drawn on a circle of this radius
+_LIKE = 0.75  # a key and the one that was meant: `signal` and `signals`, and not `formation` and `duration`
 _SECTIONS = ("graph", "network", "faults", "nemesis", "checks")
 _EDGE = re.compile(r"\s*(\w+)\s*(<->|->|-)\s*(\w+)\s*", re.ASCII)
 
@@ -37,8 +40,11 @@ def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
         return root
     for key in root.entries:
         if key not in (*KEYS, *_ADDED):
-            hint = f"known beside nodes: {', '.join(KEYS[2:-2])}"
+            near = [known for known in KEYS if known not in root.entries and nearest(key, [known], _LIKE)]
+            hint = f'did you mean "{near[0]}"?' if near else f"known beside nodes: {', '.join(KEYS[2:-2])}"
             problems.append(root.keys[key].problem(f'"{key}" has no meaning for nodes', hint, key))
+            if near:  # what names its entries is no further mistake
+                root = root.with_entry(near[0], root.keys[key], root.entries[key])
             root = root.without(key)
     names = [name for name in nodes.entries if NAME.fullmatch(name) and name not in RESERVED]
     expand = _Expanded(names, problems)
@@ -169,7 +175,7 @@ def _added(nodes: Mapping, *, water: bool) -> dict[str, Any]:
         place = node.entries.get("place") if isinstance(node, Mapping) else None
         bearing = 2 * pi * number / max(1, count)
         drawn = f"{_RADIUS_M * cos(bearing):.3f} {_RADIUS_M * sin(bearing):.3f} 0 m"
-        places.append(place.value if isinstance(place, Scalar) else drawn)
+        places.append(place.value if isinstance(place, Scalar) and _is_place(place.value) else drawn)
     still = [{"position": place} for place in places]
     return {
         "vehicles": count,
@@ -181,6 +187,15 @@ def _added(nodes: Mapping, *, water: bool) -> dict[str, Any]:
         "formation": {"offsets": places},
         "initial": still,
     }
+
+
+def _is_place(value: Any) -> bool:
+    """Whether it is a place; a wrong one is told where it was written alone."""
+    try:
+        vector(value, LENGTH)
+    except QuantityError:
+        return False
+    return True
 
 
 # Vehicles that do not move need no reference, and no tick within a round.

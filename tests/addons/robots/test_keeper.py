@@ -200,9 +200,11 @@ def test_the_end_of_a_program_is_told_with_its_last_lines(tmp_path: Path) -> Non
 
 
 def test_numbers_are_told_that_lines_hold(tmp_path: Path) -> None:
-    """The number of lines begins again with each life; a match without a number is none; times are those of the run."""
+    """The number of lines begins again with each life; a match without a number is none; times are those of the run.
+    The log says where a life begins, and that is no line of the program.
+    """
     run = "exec 3<>begun; for line in x=1 x=nan y:x=oops x=2e3 y:x=4; do read go <&3; echo $line; done; read go <&3"
-    signals = [[4, r"x=(?P<value>\S+)", False], [7, "y", True]]
+    signals = [[4, r"x=(?P<value>\S+)", False], [7, "y", True], [8, "again", True]]
     expected = ["4 1.0", "4 nan", "7 1.0", "4 2000.0", "4 4.0;7 2.0"]
     os.mkfifo(tmp_path / "begun")
     with keeping(tmp_path, {"run": run, "signals": signals, "folder": str(tmp_path)}) as kept:
@@ -219,7 +221,9 @@ def test_numbers_are_told_that_lines_hold(tmp_path: Path) -> None:
             kept.said.clear()
             kept.tell(again="m1")
         kept.stop()
-    assert [float(line.split()[0]) >= 0.0 for line in (tmp_path / "m1.log").read_text().splitlines()] == [True] * 10
+    lines = (tmp_path / "m1.log").read_text().splitlines()
+    assert [float(line.split()[0]) >= 0.0 for line in lines] == [True] * 11
+    assert [n for n, line in enumerate(lines) if line.endswith(" --- started again ---")] == [5]
 
 
 def test_of_many_lines_at_once_the_last_number_is_told(tmp_path: Path) -> None:

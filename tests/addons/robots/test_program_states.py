@@ -10,46 +10,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import yaml
+from known_programs import Known
 
-from fleet.addons.robots.programs import Ended, Programs
+from fleet.addons.robots.programs import Ended
 from fleet.addons.robots.relay_run import RelayRun
 from fleet.errors import RunBroken
-from fleet.scenario.loading import parse_scenario
-from fleet.scenario.trust import Policy
 from netem.relay_messages import Watched, WatchedMessage
 
-NODES = {"m1": {}, "m2": {}}
 SIGNALS = {
     "x": {"line": "(?P<value>.*)"}, "n": {"message": "a/{node}", "count": "yes"}, "j": {"message": "b", "json": ""},
 }  # fmt: skip
-
-
-class Known(Programs):
-    """Keeps what it tells the keeper, and what it shows the operator."""
-
-    def __init__(self, folder: Path, **sections: Any) -> None:
-        text = yaml.safe_dump({"title": "x", "nodes": NODES, "duration": "5 s", **sections}, sort_keys=False)
-        self.shown: list[str] = []
-        scenario = parse_scenario(text, "stack.yaml", policy=Policy(stranger=""))
-        super().__init__(scenario, folder, self.shown.append)
-        self.told: list[dict[str, Any]] = []
-        self._planned_ns = None
-
-    def _tell(self, **values: Any) -> None:
-        self.told.append(values)
-
-    def say(self, at: int, **values: Any) -> None:
-        """The keeper says that something happened at a time [ns]."""
-        self._take(json.loads(json.dumps({"at": at} | values)))
-
-    def runs(self, *names: str) -> None:
-        """They were started and are ready; the run begins."""
-        for name in names:
-            self.say(0, started=name, pid=1)
-            self.say(1, ready=name)
-        self.advance(1)
-        self.begin_ns = 1000
 
 
 def one(folder: Path, **sections: Any) -> Known:
@@ -77,12 +47,28 @@ def test_what_is_told_happens_at_its_time_whoever_tells_it(tmp_path: Path) -> No
     found.say(30, told="m1", signal=0, value=7.0)
     found.see([WatchedMessage(0, 10, "a/m1"), WatchedMessage(0, 40, "a/m1"), WatchedMessage(1, 20, "b", b"2.5")])
     found.say(50, told="m1", signal=0, value=float("inf"))
-    found.see([WatchedMessage(1, 45, "b", b"broken"), WatchedMessage(1, 46, "b", b"broken")])
+    found.see([WatchedMessage(1, 45, "b", b"broken"), WatchedMessage(1, 46, "b", b"[broken")])
     seen = [(found.advance(at), words(found.values(1)))[1] for at in (9, 10, 20, 39, 40, 50)]
-    assert seen == ["- - -", "- 1 -", "- 1 2.5", "7 1 2.5", "7 2 2.5", "- 2 2.5"]
-    assert words(found.values(2)) == "- - -"
+    assert seen == ["- 0 -", "- 1 -", "- 1 2.5", "7 1 2.5", "7 2 2.5", "- 2 2.5"]
+    assert words(found.values(2)) == "- 0 -"
     (said,) = found.shown  # once, however often it comes
     assert said.startswith("m1: signal j: b: is not json: ")
+
+
+def test_a_number_of_lines_or_messages_begins_with_none(tmp_path: Path) -> None:
+    """`errors below 1` failed in a run without an error: it had no value yet. Each life counts anew."""
+    signals = {"errors": {"line": "error", "count": "yes"}, "n": {"message": "a", "count": "yes"}, "x": SIGNALS["x"]}
+    found = Known(tmp_path, programs={"m1": {"run": "a"}}, signals=signals)
+    assert words(found.values(2)) == "0 0 -"  # nobody starts its programs
+    found.runs("m1")
+    found.say(2000, told="m1", signal=0, value=1.0)
+    found.see([WatchedMessage(0, 2001, "a")])
+    found.advance(2001)
+    assert words(found.values(1)) == "1 1 -"
+    for at, said in ((2002, "killed"), (2003, "started"), (2004, "ready")):
+        found.say(at, **{said: "m1", "pid": 5})
+    found.advance(2004)
+    assert words(found.values(1)) == "0 0 -"
 
 
 def test_a_node_has_no_sample_while_one_of_its_programs_is_not_ready(tmp_path: Path) -> None:
@@ -93,8 +79,8 @@ def test_a_node_has_no_sample_while_one_of_its_programs_is_not_ready(tmp_path: P
     found.say(30, started="m1/nav", pid=5)
     found.say(40, ready="m1/nav")
     seen = [(found.advance(at), words(found.values(1)), found.gone)[1:] for at in (10, 20, 30, 40)]
-    assert seen == [("7 - -", []), ("", [1]), ("", []), ("- - -", [])]
-    assert words(found.values(2)) == "- - -" and not lives(found)
+    assert seen == [("7 0 -", []), ("", [1]), ("", []), ("- 0 -", [])]
+    assert words(found.values(2)) == "- 0 -" and not lives(found)
 
 
 def test_a_program_that_has_done_its_work_is_not_gone(tmp_path: Path) -> None:
@@ -104,7 +90,7 @@ def test_a_program_that_has_done_its_work_is_not_gone(tmp_path: Path) -> None:
     for name, code in (("m1", 0), ("m1/nav", 0), ("m2", 3)):
         found.say(3000, ended=name, code=code, tail=["last words"])
     found.advance(3000)
-    assert (words(found.values(1)), words(found.values(2)), found.gone) == ("7 - -", "", [2])
+    assert (words(found.values(1)), words(found.values(2)), found.gone) == ("7 0 -", "", [2])
     assert lives(found) == [Ended(3000, 2)]
     verdict = found.verdict()
     assert verdict is not None and verdict.failed
@@ -113,6 +99,32 @@ def test_a_program_that_has_done_its_work_is_not_gone(tmp_path: Path) -> None:
     found.say(4000, started="m2", pid=6)  # the operator heals it
     found.advance(4000)
     assert lives(found) == [Ended(4000, 2, begins=True)]
+
+
+def test_of_a_program_that_ends_a_few_lines_are_shown(tmp_path: Path) -> None:
+    """And where the others are: three that died filled the screen."""
+    found = one(tmp_path)
+    found.say(2000, ended="m2", code=1, tail=[f"line {n}" for n in range(12)])
+    found.advance(2000)
+    (said,) = found.shown
+    assert said.splitlines() == [
+        "m2 exited with status 1 at t = 0.00 s", f"last lines of {tmp_path}/log/m2.log:",
+        "  line 9", "  line 10", "  line 11",
+    ]  # fmt: skip
+
+
+def test_a_signal_that_nobody_has_told_leaves_a_note(tmp_path: Path) -> None:
+    """Whatever it is told by. What one of its nodes has told was spoken, also if it was no number for a time."""
+    signals = SIGNALS | {"k": {"of": "m2", "message": "c/{node}", "json": "a"}, "e": {"line": "error", "count": "yes"}}
+    found = Known(tmp_path, programs={"m*": {"run": "a"}}, signals=signals)
+    assert found.silent() == [
+        "signal x: no line of m1, m2 had a number", "signal j: no message on b of m1, m2 had a number",
+        "signal k: no message on c/{node} of m2 had a number",
+    ]  # fmt: skip
+    found.runs("m1", "m2")
+    found.say(2000, told="m2", signal=0, value=1.0)
+    found.advance(2000)
+    assert [note.partition(":")[0] for note in found.silent()] == ["signal j", "signal k"]
 
 
 def test_what_ends_after_the_run_is_no_failure(tmp_path: Path) -> None:
@@ -196,13 +208,14 @@ def test_a_program_knows_where_it_runs(tmp_path: Path) -> None:
     found = Known(
         tmp_path, programs={"m1": {"run": "a {listen} {node}", "env": {"X": "{number}", "ROS_DOMAIN_ID": 7}}}, seed=4
     )
-    values = found._values_of(found.states["m1"], {"m1": "tcp/0.0.0.0:75"}, 2_500_000_000)
+    values = found._values_of(found.states["m1"], {"m1": "tcp/0.0.0.0:75"}, {"m1": "127.0.0.1:1101"}, 2_500_000_000)
     assert values["argv"] == ["a", "tcp/127.0.0.1:75", "m1"]
     env = values["env"]
     assert (env["X"], env["ROS_DOMAIN_ID"], env["FLEET_SEED"], env["FLEET_BEGIN_S"]) == ("1", "7", "4", "2.500")
+    assert env["FLEET_MODEM"] == "127.0.0.1:1101"
     assert env["RMW_IMPLEMENTATION"] == "rmw_zenoh_cpp"
     assert json.loads((tmp_path / "zenoh-m1.json5").read_text())["connect"] == {"endpoints": ["tcp/127.0.0.1:75"]}
-    alone = found._values_of(found.states["m1"], {}, 0)
+    alone = found._values_of(found.states["m1"], {}, {}, 0)
     assert alone["argv"] == ["a", "", "m1"] and "ZENOH_CONFIG_OVERRIDE" not in alone["env"]
 
 

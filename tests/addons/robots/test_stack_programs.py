@@ -157,10 +157,27 @@ def test_a_run_starts_watches_kills_and_judges_its_programs(lively: LiveRun) -> 
     assert faults == ["kill m2", "kill m4", "pause m1"]
 
 
+def test_who_does_not_want_to_wait_for_the_end_of_programs_kills_them(tmp_path: Path) -> None:
+    """By another Ctrl-C, of which the user is told. The run is judged all the same, and nobody is left."""
+    deaf = {"run": "sh -c 'trap : TERM; echo up; while :; do sleep 1; done'", "ready": {"line": "up"}}
+    with stack(
+        tmp_path, nodes=udp("m1", "m2"), programs={"m1": deaf | {"stop": {"within": "10 min"}}}
+    ) as run:  # fmt: skip
+        begun(run).until_running(0.2)
+        run.send(signal.SIGINT)
+        run.until("programs have 600 s to stop; Ctrl-C kills them at once")
+        run.send(signal.SIGINT)
+        run.ends(0)
+        assert checks(run)["programs"].passed
+
+
 DOCKER = """\
 #!/bin/sh
 echo "$@" >> {log}
-case "$*" in *refused*up*) echo "no such image" >&2; exit 1;; esac
+case "$*" in
+    *refused*up*) echo "no such image" >&2; exit 1;;
+    *slow*up*) exec sleep 1000;;
+esac
 """
 
 
@@ -179,9 +196,10 @@ def test_a_run_fails_for_programs_that_end_or_do_not_and_says_how(tmp_path: Path
         tmp_path, environment=docker(tmp_path),
         nodes=udp("m1", "m2", "m3"), duration="800 ms", compose="services.yaml", begin="200 ms",
         programs={
-            "m1": {"run": "python ends.py 1.3 3"},
+            "m1": {"run": "python ends.py 1.0 3"},
             "m2": {"run": "python counts.py {begin_s}"},
             "m3": {"run": ["sh", "-c", "echo begins; sleep 1; kill -9 $$"]},
+            "m1/deaf": {"run": "sh -c 'trap : TERM; while :; do sleep 1; done'", "stop": {"within": "50 ms"}},
         },
         checks={"programs": {"m2": "done"}, "signal": {"topic": "s", "above": 0, "after": "700 ms"}},
         signals={"s": {"of": "m1", "line": "hel(?P<value>)lo"}},
@@ -192,6 +210,9 @@ def test_a_run_fails_for_programs_that_end_or_do_not_and_says_how(tmp_path: Path
     assert words.startswith("m1 exited with status 3 at 0.") and '": "goodbye"' not in words
     assert ': "goodbye"; m2 did not end; m3 was killed by SIGKILL at 0.' in words
     assert words.endswith(': "begins"')
+    assert result.notes == [
+        "signal s: no line of m1 had a number", "m1/deaf did not stop in time and had to be killed: see stop",
+    ]  # fmt: skip
     assert [death[1:] for death in result.deaths.values()] == [["hello", "goodbye"], ["begins"]]
     assert "m1 exited with status 3 at t = 0." in said and "goodbye" in said
     told = next(line for line in (run.directory / "log/m2.log").read_text().splitlines() if "told" in line)
@@ -238,16 +259,35 @@ def test_nobody_is_left_when_the_console_is_killed(tmp_path: Path) -> None:
         run.until_nobody_is_left()
 
 
-@pytest.mark.slow
-def test_ctrl_c_while_programs_get_ready_ends_them_all(tmp_path: Path) -> None:
-    with stack(
-        tmp_path, nodes=udp("m1", "m2"), programs={"m1": {"run": "sleep 1000", "ready": {"line": "never"}}}
-    ) as run:
-        wait_for(lambda: "sleep 1000" in [" ".join(one.cmdline()) for one in run.family()], LIMIT_S, "its program")
-        run.send(signal.SIGINT)
-        run.status()
-        run.until_nobody_is_left()
-        assert "Traceback" not in run.said
+GETTING_READY: dict[str, tuple[dict[str, Any], str]] = {
+    "docker": ({"compose": "slow.yaml"}, "starting the programs"),
+    "unready": ({"programs": {"m1": {"run": "sleep 1000", "ready": {"line": "never"}}}}, "waiting for m1 to be ready"),
+    "begin": ({"begin": "1 h"}, "all programs are ready, and t = 0 comes in 3"),
+}
+
+
+@pytest.mark.parametrize("how", ["stop", pytest.param("ctrl-c", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("state", GETTING_READY)
+def test_a_run_answers_while_its_programs_get_ready_and_says_what_its_end_ends(
+    state: str, how: str, tmp_path: Path
+) -> None:
+    """Requests were answered from t = 0 on only, and so refused after five seconds; Ctrl-C said nothing."""
+    sections, waits = GETTING_READY[state]
+    program = {"programs": {"m1": {"run": "sleep 1000"}}}
+    with stack(tmp_path, nodes=udp("m1", "m2"), environment=docker(tmp_path), **program | sections) as run:
+        begun(run)
+        wait_for(lambda: waits in tell(run, "status"), LIMIT_S, waits)
+        tell(run, "inject", "down", "m1->m2")
+        run.family()
+        if how == "stop":
+            assert tell(run, "stop") == f"{run.directory.name}: stopping at t = 0.00 s\n"
+        else:
+            run.send(signal.SIGINT)
+        run.ends(130)
+        ended = "" if state == "docker" else ", and its programs with it: m1"
+        (note,) = read_result(run.directory).notes
+        assert note.startswith(f"the run ended before t = 0 ({waits}") and note.endswith(f"){ended}")
+        assert f"note {note}" in run.said
 
 
 def test_programs_of_a_strangers_file_need_the_users_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,11 +32,12 @@ from math import inf
 for name in ("dask", "distributed", "scipy", "pandas", "xarray", "cryptography"):
     sys.modules[name] = None  # as if it were not installed
 from fleet.addons.studies.engine import engine_of
+from fleet.addons.studies.modules import NO_MODULES
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.search import search
 from fleet.addons.studies.shrink import Shrinker
 tasks = [Task(f"key-{seed}", 0, seed, "small", sys.argv[1], inf) for seed in (1, 2)]
-with engine_of(1) as engine:  # a script needs no `if __name__ == "__main__"`
+with engine_of(NO_MODULES, 1) as engine:  # a script needs no `if __name__ == "__main__"`
     engine.make(iter(tasks), lambda rows: print(*[(row.key, row.status) for row in rows]), lambda: None)
 for name in ("scipy", "pandas", "xarray"):
     del sys.modules[name]

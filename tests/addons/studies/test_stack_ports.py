@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from fleet.addons.studies import stack_runs
+from fleet.addons.studies.modules import NO_MODULES
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import Row
 from fleet.addons.studies.verbs.study_options import WorkerOptions
@@ -54,6 +55,6 @@ def test_ports_of_the_file_are_those_of_one_run_at_a_time(
 
 
 def test_the_command_line_tells_it_without_a_line_of_python(capsys: pytest.CaptureFixture[str]) -> None:
-    with WorkerOptions().engine() as engine:
+    with WorkerOptions().engine(NO_MODULES) as engine:
         engine.stacks._tell("one run at a time")  # type: ignore[union-attr]
     assert capsys.readouterr().err == "warning: one run at a time\n"

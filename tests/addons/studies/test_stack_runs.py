@@ -17,7 +17,7 @@ import yaml
 from study_engine import Here, Rows
 
 from fleet.addons.studies import stack_runs
-from fleet.addons.studies.engine import DaskEngine
+from fleet.addons.studies.engine import engine_of
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.failures import FailureFolder, FoundFailure, Regression, file_of
 from fleet.addons.studies.modules import Modules
@@ -280,7 +280,7 @@ def test_as_many_go_on_at_a_time_as_the_first_one_leaves_room_for(
 
 def test_a_cluster_makes_no_runs_of_stacks() -> None:
     with pytest.raises(StudyError, match="this machine"):
-        DaskEngine(Mock(), 1).carry(STACKS)
+        engine_of(STACKS, scheduler=Mock())
 
 
 def test_fewer_go_on_at_a_time_if_more_than_a_fifth_is_late(fake: type[FakeRun]) -> None:

@@ -229,3 +229,25 @@ def test_a_program_that_cannot_be_started_is_no_failure_of_the_network(here: Pat
     (directory,) = [path for path in (here / "studies").iterdir() if path.is_dir() and not path.is_symlink()]
     assert open_study(directory).to_pandas()["passed"].isna().all()
     assert said.count("has no result") == 1 and "mermber.py" in said
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["sweep", "stack.yaml", "--seeds", "1"],
+        ["boundary", "stack.yaml", "--along", "network.links.*.loss=0 %..90 %"],
+        ["search", "stack.yaml", "--episodes", "--set", "duration=30 s"],
+        ["shrink", "stack.yaml", "--fault", "at 100ms kill m1"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_cluster_is_refused_before_anybody_looks_for_it(
+    words: list[str], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Programs run on this machine alone. A scheduler that is not there was looked for during ten seconds."""
+    looked: list[Any] = []
+    monkeypatch.setattr("fleet.addons.studies.engine.dask_engine", looked.append)
+    with pytest.raises(CommandRefused) as caught:
+        type_command(*words, "--scheduler", "tcp://127.0.0.1:1")
+    assert "programs of a stack run on this machine alone: leave --scheduler out" in str(caught.value)
+    assert not looked

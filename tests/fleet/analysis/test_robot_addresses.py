@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from fleet.analysis.robot_addresses import lines, warnings
+from fleet.analysis import robot_addresses
+from fleet.analysis.robot_addresses import lines, users_now, warnings
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.nodes import without_address
@@ -22,7 +23,11 @@ def scenario(**nodes: Any) -> Scenario:
     return parse_scenario(json.dumps({"title": "A stack", "nodes": nodes}), "stack.yaml")
 
 
-def accounts(monkeypatch: pytest.MonkeyPatch, *users: tuple[str, int, str]) -> None:
+def accounts(
+    monkeypatch: pytest.MonkeyPatch, *users: tuple[str, int, str], there: tuple[int, ...] | None = None
+) -> None:
+    """`there`: the numbers of users with processes; None: that cannot be seen."""
+    monkeypatch.setattr(robot_addresses, "users_now", lambda: None if there is None else {*there})
     own = SimpleNamespace(pw_name="me", pw_uid=os.getuid(), pw_shell="/bin/sh")
     found = [own, *(SimpleNamespace(pw_name=name, pw_uid=uid, pw_shell=shell) for name, uid, shell in users)]
     monkeypatch.setattr(pwd, "getpwall", lambda: found)
@@ -73,6 +78,19 @@ def test_ports_on_loopback_are_warned_of_if_other_people_use_the_machine(
     accounts(monkeypatch, ("bob", 1501, "/bin/bash"))
     (said,) = warnings(found)
     assert said.startswith("other users of this machine (bob) can hear the programs of a, d and speak for them: ")
+    people = [("bob", 1501, "/bin/bash"), ("eve", 1502, "/bin/bash")]
+    accounts(monkeypatch, *people, there=(0, os.getuid()))
+    assert not [*warnings(found)]
+    accounts(monkeypatch, *people, there=(0, 1502))
+    (said,) = warnings(found)
+    assert said.startswith("other users of this machine (eve) can hear")
+
+
+def test_the_users_with_processes_are_those_of_the_system() -> None:
+    """At least we are there. A system that shows nobody else's processes has none of the first one."""
+    there = users_now()
+    assert there is None or os.getuid() in there
+    assert (there is None) is not Path("/proc/1").exists()
 
 
 def test_a_node_that_says_no_address_gets_one() -> None:

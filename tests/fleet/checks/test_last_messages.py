@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from fed_checks import fate, fed
+import pytest
+from fed_checks import begins, fate, fed
 from msgspec.structs import replace
+from small_scenario import small
 
 from agents.message import pack
 from agents.payload import StateMessage, encode
-from fleet.checks.own_checks import LastMessages
+from fleet.checks.own_checks import LastMessages, OwnChecks
+from fleet.checks.values import LoggedValues
+from fleet.scenario.sections.timeline import Event
 
 LINKS = [(1, 2), (2, 1), (2, 3), (3, 2)]
 MINE = ["control.leads"]
@@ -42,6 +46,43 @@ def test_of_several_links_the_one_that_is_silent_for_longest() -> None:
     found = last.of([1, 2], MINE)
     assert found is not None and (found.src, found.heard_s) == (1, None)
     assert found.words.endswith("down; it had nothing before")
+
+
+@pytest.mark.parametrize("lost", ["delivered", "loss"])
+def test_the_silence_of_a_sender_that_is_gone_comes_before_a_packet_that_was_lost_since(lost: str) -> None:
+    """The last random loss of another link was named, and not the node that had been killed."""
+    last = LastMessages(LINKS, 10_000_000)
+    last.settle(fate(1, 2, 0))
+    last.settle(fate(1, 2, 10, lost))
+    for sent in range(0, 100, 10):
+        last.settle(fate(3, 2, sent))
+    last.settle(fate(3, 2, 100, "loss"))
+    found = last.of([2], MINE, silent=[1])
+    assert found is not None and (found.src, found.silent) == (1, True)
+    heard = "0.1" if lost == "delivered" else "0"
+    assert found.words == f"vehicle 1 sends no more, and the last that vehicle 2 has of it is what it sent at {heard} s"
+    last = LastMessages(LINKS, 10_000_000)
+    last.settle(fate(1, 2, 10, "loss"))
+    never = last.of([2], MINE, silent=[1])
+    assert never is not None and never.words.endswith("has of it is nothing")
+
+
+@pytest.mark.parametrize("kind", ["kill", "pause", "diverged"])
+def test_who_is_gone_or_paused_at_the_time_of_the_failure_is_silent(kind: str) -> None:
+    """And no longer when that is over."""
+    scenario = small("duration=4 s", "checks={signal: {topic: error.e_norm, below: 8 m, after: 1 s}}")
+    for over in (False, True):
+        own = OwnChecks.asked(scenario)
+        assert own is not None
+        own.settle(replace(fate(1, 2, 10), payload=STATE))
+        own.event(begins("f", 20, f"{kind} 1"))
+        if over:
+            own.event(Event(50, "f", "ends", f"{kind} 1"))
+        own.take(LoggedValues(100, {(i, "error"): (0.0, 0.0, 0.0, 9.0, *([0.0] * 4)) for i in (1, 2, 3)}))
+        (verdict,) = own.verdicts(over=False)
+        assert verdict.moment is not None and verdict.moment.message is not None
+        assert verdict.moment.message.silent is not over
+        assert ("vehicle 1 sends no more" in verdict.found) is not over
 
 
 def test_a_message_of_the_tick_of_the_failure_counts() -> None:

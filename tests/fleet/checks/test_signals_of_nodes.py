@@ -91,6 +91,14 @@ def test_a_silence_fails_with_the_node_that_is_silent() -> None:
     assert "no value yet" in verdict.found
 
 
+@pytest.mark.parametrize("check", ["above: 0", "spread_below: 5"])
+def test_a_failure_by_silence_says_when_it_was_over(check: str) -> None:
+    """So it is seen whether the check began too early, or the signal never spoke."""
+    assert "no value yet" in (late := judged(check, silent).found) and "; one came by 1 s" in late
+    assert "no value yet" in (never := judged(check, mute).found) and "; none came" in never
+    assert " came" not in judged("above: 5", lambda i, t: 1.0).found
+
+
 def test_a_silence_that_may_last_is_none_too_long() -> None:
     assert judged("never: true, above: 5, for_at_least: 1500 ms", silent).passed
     assert judged("never: true, above: 5, for_at_least: 500 ms", silent).failed

@@ -13,7 +13,7 @@ from tool import invoke
 from fleet.addon import installed
 from fleet.cli.group import command_of
 from fleet.cli.main import cli
-from fleet.cli.verbs import HINTS, every_verb, headings, hint_for
+from fleet.cli.verbs import HINTS, OTHER_OPTIONS, every_verb, headings, hint_for
 
 
 def test_a_disk_that_fails_is_not_the_users_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,3 +85,19 @@ def test_a_folder_that_was_removed_is_named(tmp_path: Path, monkeypatch: pytest.
     result = invoke("info")
     assert result.exit_code != 0
     assert "the folder that you are in has been removed" in result.stderr
+
+
+def test_an_option_that_there_is_not_names_one_of_the_command_that_does_it() -> None:
+    """`boundary --runs` was taken for a mistyped `--trust`."""
+    others = [
+        *OTHER_OPTIONS.items(),
+        *(each for one in installed().addons.values() for each in one.other_options.items()),
+    ]
+    assert {(verb, "--runs") for verb in ("sweep", "boundary", "search", "shrink")} <= {key for key, _ in others}
+    for (verb, option), hint in others:
+        mine = {known for parameter in command_of(verb).params for known in parameter.opts}
+        assert option not in mine
+        told = invoke(verb, option, "3").stderr
+        assert hint in " ".join(told.split()) and "Did you mean" not in told
+        named = hint.split()[0]
+        assert named in mine or named == "fleet"

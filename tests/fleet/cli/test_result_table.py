@@ -183,3 +183,10 @@ def test_moored_vehicles_have_no_errors_to_tell() -> None:
     out = io.StringIO()
     show(result(vehicles=rows, formation=Formation(0.0, 1, 0.0, 2), checks=[]), Terminal(file=out, width=80))
     assert "there" in out.getvalue() and "formation" not in out.getvalue()
+
+
+def test_a_run_that_did_not_begin_was_never_ready() -> None:
+    """It was `ready in 0.00 s`."""
+    broken = {"status": Status.BROKEN, "reason": "m1 was not ready within 20 s", "checks": [], "sim_s": 0.0}
+    text = shown(result(**broken, wall=Wall(in_process=False, run_s=20.3)), 120)
+    assert "distributed, never ready)" in text and "ready in" not in text

@@ -145,7 +145,23 @@ def test_what_is_not_there_is_named(run: Path) -> None:
     with pytest.raises(AttributeError, match="has no field 'X'"):
         _ = log["uuv/1/state"].X
     assert "uuv/9/state" not in log
+    for wrong in (0, -1, slice(3), None, ("x", "y")):
+        with pytest.raises(
+            KeyError, match=r"fields have names, got .*; each is an array of its samples, as in topic\['x'\]"
+        ):
+            log["uuv/1/state"][wrong]  # type: ignore[index]
+        with pytest.raises(KeyError, match="topics have names such as 'uuv/1/state', got "):
+            log[wrong]  # type: ignore[index]
     assert not hasattr(log["uuv/1/state"], "_repr_html_")
+
+
+def test_a_topic_goes_through_its_fields_as_a_dictionary_does(run: Path) -> None:
+    """`for x in log["uuv/1/pose"]` ended in an error about `lower`."""
+    log = fleet.open_log(run)
+    for name in log:
+        assert [*log[name]] == list(log[name].fields)
+    state = log["uuv/1/state"]
+    assert {field: len(state[field]) for field in state} == dict.fromkeys(state.fields, len(state))
 
 
 def test_a_cut_log_gives_what_is_left(run: Path, tmp_path: Path) -> None:

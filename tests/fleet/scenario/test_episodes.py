@@ -58,6 +58,21 @@ def test_when_they_are(changes: tuple[str, ...], unit_s: float, begins_s: tuple[
     assert found.unit == unit_s * S and found.begins == tuple(round(t * S) for t in begins_s)
 
 
+@pytest.mark.parametrize("vehicles", [1, 2, 3, 5])
+def test_kills_leave_somebody_alive_or_end(vehicles: int) -> None:
+    """A search drew kills that ended the whole fleet for good, and then nothing was judged."""
+    fleet = f"agent.parameters={{vehicles: {vehicles}, lease_s: 2, quorum: fleet}}"
+    s = moored(f"vehicles={vehicles}", fleet, "nemesis={mode: episodes, pick: [kill]}", "graph={shape: complete}")
+    forever = 0
+    for seed in range(1, 200):
+        faults, _ = episodes.draw(s.undrawn.nemesis, s.ground._replace(spec=s.spec.model_copy(update={"seed": seed})))
+        for_good = [fault for fault in faults if fault.for_ is None]
+        gone = {i for fault in for_good for i in fault.kind.vehicles(fault.values)}
+        assert len(gone) < vehicles, f"seed {seed}"
+        forever += len(for_good)
+    assert (forever > 0) is (vehicles > 1)
+
+
 @pytest.mark.parametrize("seed", range(1, 30))
 def test_faults_lie_in_the_first_half_of_an_episode_but_for_those_that_stay(seed: int) -> None:
     s = moored(f"seed={seed}")

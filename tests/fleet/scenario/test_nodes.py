@@ -14,6 +14,7 @@ import fleet
 from fleet.analysis.preflight import warnings
 from fleet.errors import FleetError, ScenarioError
 from fleet.execution.external_agents import refuse
+from fleet.execution.fault_request import RefusedError, checked_fault
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.node_names import named, numbered
@@ -306,3 +307,54 @@ def test_a_topic_of_ros_may_begin_with_a_slash() -> None:
     told = {"depth": {"of": "a", "message": "/a/depth", "ros": "data"}}
     assert scenario(signals=told).spec.signals is not None
     assert "zenoh takes no such key" in mistakes(signals={"depth": {"of": "a", "message": "/a/depth", "json": ""}})
+
+
+SELECTORS = [
+    ({"kill": "zz"}, "there is no node zz: the nodes are a, b, shore"),
+    ({"mute": "7"}, "there is no node 7: the nodes are a, b, shore"),
+    ({"partition": "zz / yy"}, "there is no node zz: the nodes are a, b, shore"),
+    ({"partition": "a / 5"}, "there is no node 5: the nodes are a, b, shore"),
+    ({"partition": "zz"}, '"zz" is no partition of a, b, shore'),
+    ({"down": "zz->yy"}, '"zz->yy" is no link: write "*", "a->b", "a<->b", "a->*" or "*->b"'),
+]
+
+
+@pytest.mark.parametrize(("fault", "expected"), SELECTORS)
+def test_a_wrong_selector_is_told_in_names(fault: dict[str, str], expected: str) -> None:
+    """`kill zz` expected vehicle numbers such as "3", in a file and of the operator of a run that goes on."""
+    programs = {"*": {"run": "x"}}
+    assert expected in mistakes(programs=programs, faults=[{"at": "1 s"} | fault])
+    with pytest.raises(RefusedError, match=re.escape(expected)):
+        checked_fault(fault, 1, scenario(programs=programs))
+
+
+@pytest.mark.parametrize(
+    ("sections", "expected"),
+    [
+        ({"checks": {"max_age": {"below": "1 s", "links": "zz->yy"}}}, "a->b"),
+        ({"network": {"radios": {"zz": "rate 80kbit"}}}, "no node zz"),
+        ({"network": {"links": {"zz->yy": "loss 3%"}}}, "a->b"),
+        ({"signals": {"x": {"line": "(?P<value>.)"}}, "programs": {"*": {"run": "x"}},
+          "checks": {"signal": {"topic": "x", "above": 0, "vehicles": "zz"}}}, "no node zz"),
+    ],
+)  # fmt: skip
+def test_no_mistake_in_a_selector_speaks_of_vehicles(sections: dict[str, Any], expected: str) -> None:
+    said = mistakes(**sections)
+    assert expected in said and "vehicle n" not in said and "1->2" not in said
+
+
+@pytest.mark.parametrize(
+    ("place", "key", "expected"),
+    [
+        ({"topik": "a"}, "topik", 'did you mean "topic"?'),
+        ({"topic": "a", "x": 1}, "x", "known here: topic"),
+        ({}, "topic", ""),
+        (5, "", "without a unit"),
+        ("here", "", 'got "here"'),
+        ([1, 2], "", "got a list"),
+    ],
+)
+def test_a_wrong_place_is_one_mistake(place: Any, key: str, expected: str) -> None:
+    """It may be a text or a topic, and a mistake in one was one in the other, too, and in places that nobody wrote."""
+    (said,) = mistakes(nodes=NODES | {"a": {"listen": "tcp/127.0.0.1:1", "place": place}}).splitlines()
+    assert said.startswith(f"nodes.a.place{f'.{key}' if key else ''}: ") and expected in said

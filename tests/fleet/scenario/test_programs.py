@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.errors import FleetError
+from fleet.errors import FleetError, ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.programs import admit_programs
@@ -80,6 +80,7 @@ def test_the_record_of_a_run_with_programs_loads_to_an_equal_scenario(tmp_path: 
     }  # fmt: skip
     found = stack(
         tmp_path, programs=programs, signals=signals, begin="2 s", compose="c.yaml",
+        nodes=NODES | {"m1": {"udp": {"900": "m2:901"}}},
         faults=[{"at": "1 s", "for": "1 s", "kill": "m1"}, {"at": "3 s", "for": "1 s", "pause": "m1,m2"}],
         checks={"programs": "running", "signal": [{"topic": "a", "above": "0 m"}, {"topic": "e", "below": 3}]},
     )  # fmt: skip
@@ -165,3 +166,111 @@ def test_what_makes_runs_of_stacks_needs_their_programs_and_their_end() -> None:
         refuse(endless, "a run of a study", stacks=True)
     with pytest.raises(FleetError, match="fleet netem runs it"):
         refuse(stack(programs={"m1": {"run": "a"}}), "fleet rare")
+
+
+WHOLE: dict[str, Any] = {
+    "nodes": NODES | {"m3": {}}, "begin": "1 s", "compose": "c.yaml",
+    "programs": {"m1": {"run": "a {listen}", "ready": {"after": "1 s"}}, "shore/gcs": {"run": "b"}},
+    "signals": {"x": {"of": "m1", "line": NUMBER}, "y": {"message": "k", "json": ""}},
+    "faults": [{"at": "1 s", "for": "1 s", "kill": "m1"}, {"at": "2 s", "pause": "shore"}, {"at": "1 s", "mute": "m2"}],
+    "graph": {"edges": ["m1-m2", "m2-m3", "m3-shore"]}, "network": {"links": {"m1->m2": "loss 3%"}},
+    "checks": {
+        "programs": {"m1": "done", "shore/gcs": "running"},
+        "signal": [{"topic": "x", "above": 0}, {"topic": "y", "above": 0}],
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("section", "entry", "wrong", "place", "hint"),
+    [
+        ("programs", "m1", {"comand": "a"}, "comand", '"run"'),
+        ("programs", "m1", {"command": ["a"], "nice": 3}, "command", '"run"'),
+        ("programs", "m1", {"run": "a", "redy": {}}, "redy", '"ready"'),
+        ("programs", "m1", {"run": 5}, "run", "run: [python"),
+        ("programs", "m1", {}, "run", ""),
+        ("programs", "m1", "python a.py", "m1", "write {key: value}"),
+        ("programs", "shore/gcs", {"run": "a", "ready": {"lin": "x"}}, "lin", '"line"'),
+        ("signals", "x", {"lin": NUMBER}, "lin", '"line"'),
+        ("signals", "x", {"line": "("}, "line", ""),
+        ("nodes", "m1", {"lisen": "tcp/127.0.0.1:7501"}, "lisen", '"listen"'),
+        ("nodes", "m1", {"zenoh": 5}, "zenoh", "quotes"),
+    ],
+)
+def test_what_names_a_wrong_entry_is_no_further_mistake(
+    section: str, entry: str, wrong: Any, place: str, hint: str
+) -> None:
+    """A program with one typo was missing for its check and for faults, too, and `run` was missing beside `comand`."""
+    stack(**WHOLE)
+    with pytest.raises(ScenarioError) as caught:
+        stack(**WHOLE | {section: WHOLE[section] | {entry: wrong}})
+    (problem,) = caught.value.problems
+    assert problem.key.endswith(place) and hint in problem.hint
+
+
+def test_the_typo_in_the_only_program_leaves_nothing_without_effect() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        stack(nodes=NODES, begin="1 s", programs={"m*": {"rn": "a"}}, checks={"programs": "running"})
+    assert [problem.key for problem in caught.value.problems] == ["programs.m*.rn"]
+
+
+def refused(**sections: Any) -> list[str]:
+    """Each mistake: its key, message and hint."""
+    with pytest.raises(ScenarioError) as caught:
+        stack(**sections)
+    return [f"{problem.message} | {problem.hint}" for problem in caught.value.problems]
+
+
+@pytest.mark.parametrize(
+    ("section", "expected"),
+    [
+        ({"run": ["a", "--to={lisen}"]}, 'programs.m1.run: {lisen} is no placeholder: did you mean "listen"?'),
+        ({"run": "a {Node}"}, 'programs.m1.run: {Node} is no placeholder: did you mean "node"?'),
+        ({"run": "a", "env": {"X": "{seeds}"}}, 'programs.m1.env.X: {seeds} is no placeholder: did you mean "seed"?'),
+        (
+            {"run": "a", "ready": {"key": "k/{name}"}},
+            "programs.m1.ready.key: {name} is no placeholder: {node} and {number} are",
+        ),
+        (
+            {"run": "a", "ready": {"token": "{listen}"}},
+            "programs.m1.ready.token: {listen} is no placeholder: {node} and {number} are",
+        ),
+    ],
+)
+def test_an_unknown_placeholder_is_a_mistake(section: dict[str, Any], expected: str) -> None:
+    """It was filled in as it stood, and the program got `{lisen}`."""
+    (found,) = refused(programs={"m1": section})
+    assert found == f"{expected} | "
+
+
+def test_other_braces_of_a_command_line_are_its_own() -> None:
+    """Of JSON, of a shell, of a format of the program's own."""
+    for run in ('a {"seeds": {node}}', "sh -c 'echo ${seeds} {code} {}'", "a {1} {}", "curl -w %{http_code}"):
+        stack(programs={"m1": {"run": run}})
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        ("a/{nam}/b", "signals.x.message: {nam} is no placeholder: {node} and {number} are | "),
+        ("udp/901", "signals.x.message: none of its nodes has the port udp/901 | they have udp/900"),
+        ("udp/9{number}0", "signals.x.message: none of its nodes has the port udp/910 | they have udp/900"),
+        ("udp/abc", "signals.x.message: none of its nodes has the port udp/abc | they have udp/900"),
+    ],
+)
+def test_a_signal_is_in_messages_that_can_come(message: str, expected: str) -> None:
+    """A port that no node has was accepted, and the signal never spoke."""
+    nodes = NODES | {"m1": {"udp": {"900": "m2:77"}}, "m2": {"udp": {"920": "m1:78"}}}
+    (found,) = refused(nodes=nodes, signals={"x": {"of": "m1", "message": message, "struct": "<H"}})
+    assert found == expected
+    for own in ("udp/900", "udp/9{number}0"):
+        stack(nodes=nodes, signals={"x": {"message": own, "struct": "<H"}})
+
+
+@pytest.mark.parametrize(("key", "meant"), [("signal", "signals"), ("program", "programs"), ("check", "checks")])
+def test_a_section_with_another_name_is_one_mistake_with_the_name_that_was_meant(key: str, meant: str) -> None:
+    """What is in it is named elsewhere, and that is no further mistake."""
+    sections = WHOLE | {"carry": ["k"]}
+    sections[key] = sections.pop(meant)
+    (found,) = refused(**sections)
+    assert found == f'"{key}" has no meaning for nodes | did you mean "{meant}"?'

@@ -52,7 +52,7 @@ def netem(
       fleet netem stack.yaml --view
     """
     from fleet.addons.robots.relay_run import RelayRun
-    from fleet.analysis.robot_addresses import warnings
+    from fleet.analysis import command_lines, robot_addresses
     from fleet.processes.child_start import die_with_study
     from fleet.processes.children import start_forkserver
     from fleet.scenario.loading import load_scenario
@@ -69,7 +69,7 @@ def netem(
         return
     admit_programs(scenario.spec, scenario.reading.policy)
     if not quiet:
-        for text in warnings(scenario):
+        for text in (*command_lines.warnings(scenario), *robot_addresses.warnings(scenario)):
             say(f"warning: {text}", err=True)
     asked = Options(out, clock=Clock.REAL, quiet=quiet, relay=RelayRun)
     beside = [each for each in companions if each.asked]

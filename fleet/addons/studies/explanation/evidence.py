@@ -20,6 +20,7 @@ from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
+from fleet.scenario.sections.node_names import numbered_words
 from fleet.scenario.sections.signals import parse_name
 from netem.cause import Cause
 from netem.condition import Link
@@ -30,6 +31,7 @@ TOPICS = ("uuv/*/state", "uuv/*/belief", "uuv/*/located", "uuv/*/control", "uuv/
 MOST_GAPS = 400  # that are kept, those that explain most
 _FADES = 0.1  # seconds of silence that each second since its end makes up for: chosen
 _MOST_SIGNALS = 8  # of one vehicle
+_OF_AGENTS = ("command", "state", "control")  # the first topic that there is tells whether an agent reports
 _UNUSUAL = 2.5  # times the usual time between two sendings: chosen
 ON_THE_WAY = "on the way"
 NOT_SENT = "not sent"
@@ -116,7 +118,13 @@ class Evidence(NamedTuple):
 
 
 def evidence(
-    log: Log, at_s: float, signals: Sequence[str], failing: Collection[int] = (), *, protocol: bool
+    log: Log,
+    at_s: float,
+    signals: Sequence[str],
+    failing: Collection[int] = (),
+    *,
+    protocol: bool,
+    nodes: Sequence[str] = (),
 ) -> Evidence:
     """Collect the evidence of a log about a time.
 
@@ -126,18 +134,21 @@ def evidence(
         signals: the signals of the check.
         failing: the vehicles that failed it; their silences come first.
         protocol: whether to add the signals of the agents' own protocol.
+        nodes: the names of nodes, by which the log names them; none: the log is of vehicles.
     """
     faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
     each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
     numbers = log.vehicles or sorted({i for link in log.links for i in link})  # nodes have no topics of their own
-    kills = [(f.begin, f.end, kind_and_vehicles(f.what)) for f in log.faults if f.what.startswith("kill ")]
+    killing = [fault for fault in log.faults if fault.what.startswith("kill ")]
+    kills = [(f.begin, f.end, kind_and_vehicles(numbered_words(f.what, nodes))) for f in killing]
     lives = Lives(
         Absence(i, _ns(begin), _ns(end)) for begin, end, (_, killed) in kills for i in killed if end < log.end
     )
     lost: Counter[str] = Counter()
     for packets in each.values():
         lost.update(cause for cause in packets.causes if cause)
-    vehicles = [_vehicle(log, i, at_s, each, signals, lives, protocol=protocol) for i in numbers]
+    units = None if nodes else ("1", "s")  # of programs every number, of agents what may be one of their protocol
+    vehicles = [_vehicle(log, i, at_s, each, signals, lives, units, protocol=protocol) for i in numbers]
     pauses = _pauses(each, at_s)
     gaps, sent = _gaps(each, at_s, failing, pauses), sum(len(packets.sent) for packets in each.values())
     return Evidence(faults, gaps, dict(lost.most_common()), sent, vehicles)
@@ -273,7 +284,15 @@ def _ns(time_s: float) -> int:
 
 
 def _vehicle(
-    log: Log, i: int, at_s: float, each: dict[Link, _Packets], signals: Sequence[str], lives: Lives, *, protocol: bool
+    log: Log,
+    i: int,
+    at_s: float,
+    each: dict[Link, _Packets],
+    signals: Sequence[str],
+    lives: Lives,
+    units: Collection[str] | None,
+    *,
+    protocol: bool,
 ) -> VehicleThen:
     heard = [_heard(log, src, packets, at_s) for (src, dst), packets in each.items() if dst == i]
     shown: dict[str, float | None] = {}
@@ -285,16 +304,15 @@ def _vehicle(
             shown[str(name)] = value
     if protocol and (topic := _there(log, f"uuv/{i}/control")) is not None:
         for field, unit in topic.units.items():
-            if unit in ("1", "s") and f"control.{field}" not in shown and topic[field].ndim == 1:
+            fits = units is None or unit in units
+            if fits and f"control.{field}" not in shown and topic[field].ndim == 1:
                 shown[f"control.{field}"] = _value(log, topic.name, field, at_s)
     where = _value(log, f"uuv/{i}/error", "formation_norm", at_s)
     if where is not None:
         shown.setdefault("error.formation_norm", where)
-    state = _there(log, f"uuv/{i}/command") or _there(log, f"uuv/{i}/state")
+    state = next((t for group in _OF_AGENTS if (t := _there(log, f"uuv/{i}/{group}")) is not None), None)
     k = -1 if state is None else _sample(state, at_s)
-    silent = None
-    if state is not None and k >= 0 and (late := at_s - float(state.t[k])) > 2.5 * _step(state):
-        silent = late
+    silent = at_s - float(state.t[k]) if state is not None and _is_over(state, k, at_s) else None
     group = "located" if _there(log, f"uuv/{i}/located") is not None else "belief"
     sd = _value(log, f"uuv/{i}/{group}", "sd", at_s, absolute=True, width=2)
     off = _value(log, f"uuv/{i}/{group}", "off_norm", at_s)
@@ -333,12 +351,14 @@ def _sample(topic: Topic, at_s: float) -> int:
     return int(np.searchsorted(topic.t, at_s + 1e-9, "right")) - 1
 
 
-def _step(topic: Topic) -> float:
-    return float(np.median(np.diff(topic.t))) if len(topic) > 1 else 0.0
+def _is_over(topic: Topic, k: int, at_s: float) -> bool:
+    """Whether a sample is so old at a time that whoever reports it was silent then: its value ended with it."""
+    step = float(np.median(np.diff(topic.t))) if len(topic) > 1 else 0.0
+    return k >= 0 and at_s - float(topic.t[k]) > 2.5 * step
 
 
 def _value(log: Log, name: str, field: str, at_s: float, *, absolute: bool = False, width: int = 0) -> float | None:
-    """A signal at a time; None: it has no finite value."""
+    """A signal at a time; None: it has no finite value, or nobody reports it any more."""
     if (topic := _there(log, name)) is None:
         return None
     if field not in topic:  # the component of a vector
@@ -351,7 +371,7 @@ def _value(log: Log, name: str, field: str, at_s: float, *, absolute: bool = Fal
         values: Any = topic[field]
     except LogReadError:
         return None
-    if (k := _sample(topic, at_s)) < 0:
+    if (k := _sample(topic, at_s)) < 0 or _is_over(topic, k, at_s):
         return None
     found = np.atleast_1d(values[k])
     if part:

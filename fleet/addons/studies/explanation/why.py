@@ -105,8 +105,8 @@ class Explanation:
             self._why_not, self._remade = f"the run does not come to its end: {self._remade.broken}", None
         verdicts = recorded_verdicts if self._remade is None else self._remade.verdicts
         if not verdicts:
-            raise FleetError(f"{source.path}: what its checks came to is not known: {self._why_not}, and there is no "
-                             "result.json of it")  # fmt: skip
+            raise FleetError(f"{source.path}: what its checks came to is not known: {self._why_not}, and no "
+                             "result.json beside it has verdicts of it")  # fmt: skip
         self.verdict, self._others = _chosen(source.path, verdicts, question.check)
         before = next((one for one in recorded_verdicts if one.check == self.verdict.check), None)
         if before is not None and before.found != self.verdict.found:
@@ -167,9 +167,9 @@ class Explanation:
         )
         begin, failed_s, failing = self._when(log)
         at_s = min(failed_s, log.end)
-        own = any(control.agent is not None for control in self.scenario.controls)
+        own = bool(self.scenario.nodes) or any(control.agent is not None for control in self.scenario.controls)
         verdict = self.verdict
-        then = evidence(log, at_s, verdict.signals, failing, protocol=own)
+        then = evidence(log, at_s, verdict.signals, failing, protocol=own, nodes=self.scenario.nodes)
         return Why(
             self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others,
             self._differs, next((one.passed for one in self._before if one.check == verdict.check), None), begin,
@@ -245,6 +245,8 @@ def _why_not(source: Recorded, question: Question) -> str:
     if external:
         vehicles = ", ".join(map(str, external))
         return f"the agent of vehicle {vehicles} is external, so no run can be made with it again"
+    if source.script().nodes:
+        return "its programs ran on the wall clock, so no run comes out the same again"
     if source.reader.metadata.get("run", {}).get(CLOCK) == Clock.REAL:
         return "it was recorded with --clock real, so no run comes out the same again"
     if source.goes_on:

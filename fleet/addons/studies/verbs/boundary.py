@@ -116,7 +116,7 @@ def _run(borders: Borders, modules: Modules, timeout_s: float, how: WorkerOption
     directory, most = borders.store.directory, len(borders.store.record.seeds)
     if not how.quiet:
         say(f"{directory}: borders: {borders.count}, each with {most} runs at most", err=True)
-    with how.showing(_pieces) as on_progress, how.engine() as workers:
+    with how.showing(_pieces) as on_progress, how.engine(modules) as workers:
         try:
             find_borders(borders, workers, on_progress, modules=modules, timeout_s=timeout_s)
         except KeyboardInterrupt:

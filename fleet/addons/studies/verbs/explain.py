@@ -110,7 +110,7 @@ def why(
     with how.showing(_pieces) as on_progress:
         explanation = Explanation(Question(log, check, budget), on_progress)
         if explanation.searches:
-            with how.engine() as engine:
+            with how.engine(explanation.modules) as engine:
                 found = explanation.find(engine, engine.carry(explanation.modules))
         else:
             found = explanation.without_runs()

@@ -74,7 +74,7 @@ def shrink(
     scenario, folder = _failing_scenario(failing, changes)
     path = place_of(scenario, out, force=force)
     modules = modules_of([scenario], folder)
-    with how.showing(pieces) as on_progress, how.engine() as engine:
+    with how.showing(pieces) as on_progress, how.engine(modules) as engine:
         try:
             found = Shrinker(scenario, engine, on_progress, engine.carry(modules)).shrink(check, budget)
         except KeyboardInterrupt:
@@ -237,7 +237,7 @@ def search(
     mode: NemesisMode = "liveness" if liveness else "episodes" if episodes else "swarm" if nemesis else None
     tried, modules = _tried(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
-    with how.showing(_seed_pieces(budget)) as on_progress, how.engine() as engine:
+    with how.showing(_seed_pieces(budget)) as on_progress, how.engine(modules) as engine:
         try:
             hunt.run(engine, on_progress, engine.carry(modules), budget)
         except KeyboardInterrupt:
@@ -387,8 +387,12 @@ def regress(
 
     regression = Regression(FailureFolder(folder))
     of = len(regression.failures)
-    with how.showing(lambda _, made, of: [Piece(0, [f"{made} / {of} runs"])]) as on_progress, how.engine() as engine:
-        found = regression.run(engine, lambda made: on_progress(made, of), engine.carry(regression.modules))
+    modules = regression.modules
+    with (
+        how.showing(lambda _, made, of: [Piece(0, [f"{made} / {of} runs"])]) as on_progress,
+        how.engine(modules) as engine,
+    ):
+        found = regression.run(engine, lambda made: on_progress(made, of), engine.carry(modules))
     if accept:
         found = regression.accept(found)
     cli_junit.write(junit, folder.name, junit_cases.of_regress(found))
@@ -453,7 +457,7 @@ def rare(
     loaded = load_scenario(scenario, [*changes])
     modules = modules_of([loaded], Path(scenario).parent if Path(scenario).exists() else None)
     path = out or Path(f"{loaded.name}-rare.json")
-    with how.showing(pieces) as on_progress, how.engine() as engine:
+    with how.showing(pieces) as on_progress, how.engine(modules) as engine:
         event = RareEvent(loaded, check, Splitting(effort), engine.carry(modules))
         found = event.run(engine, on_progress, repeats, path, inf if budget is None else budget / 1e9)
     print_result(found, *_rare_lines(found))

@@ -22,6 +22,7 @@ from fleet.terminal.width import say
 
 if TYPE_CHECKING:
     from fleet.addons.studies.engine import Engine
+    from fleet.addons.studies.modules import Modules
     from fleet.addons.studies.record import AxisRecord
     from fleet.addons.studies.store import Store
     from fleet.addons.studies.sweep import Progress
@@ -52,11 +53,13 @@ class WorkerOptions:
     trust: Trust = False
     quiet: Annotated[bool, Option("No progress.", flag="-q --quiet")] = False
 
-    def engine(self) -> AbstractContextManager[Engine]:
-        """The workers that were asked for. Raises RunBroken or StudyError: they cannot be had."""
+    def engine(self, modules: Modules) -> AbstractContextManager[Engine]:
+        """The workers that were asked for, of runs that need these modules. Raises RunBroken or StudyError: they cannot
+        be had.
+        """
         from fleet.addons.studies.engine import engine_of
 
-        return engine_of(self.workers, self.scheduler, self.warn)
+        return engine_of(modules, self.workers, self.scheduler, self.warn)
 
     @contextmanager
     def showing(self, pieces: Callable[..., list[Piece]]) -> Iterator[Callable[..., None]]:

@@ -168,7 +168,7 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: WorkerOpti
         return
     if modules is None:
         modules = modules_again(store)
-    with how.showing(_pieces) as on_progress, how.engine() as workers:
+    with how.showing(_pieces) as on_progress, how.engine(modules) as workers:
         try:
             progress = run_study(
                 store, workers, on_progress, modules=modules, timeout_s=spec.timeout_s, budget_s=spec.budget_s,

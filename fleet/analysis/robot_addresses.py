@@ -50,12 +50,13 @@ def lines(
 def _of(node: Node, found: str, opened: str) -> Iterator[str]:
     if (modem := node.modem) is not None:
         where = opened or modem.where or "a free port, which fleet netem tells"
+        host = socket.gethostname() if modem.host == "0.0.0.0" else modem.host
         if modem.language == "unet":
-            yield f"modem of UnetStack: UnetSocket('{modem.host}', {where})"
+            yield f"modem of UnetStack: UnetSocket('{host}', {where})"
         elif modem.language == "evologics":
-            yield f"modem of EvoLogics (experimental): TCP {modem.host}:{where}"
+            yield f"modem of EvoLogics (experimental): TCP {host}:{where}"
         else:
-            yield f"Micro-Modem: {where if isinstance(modem.micromodem, str) else f'TCP {modem.host}:{where}'}"
+            yield f"Micro-Modem: {where if isinstance(modem.micromodem, str) else f'TCP {host}:{where}'}"
     if listen := node.listen or found:
         address = _EVERY.sub(f"/{socket.gethostname()}", listen)
         yield f"""export ZENOH_CONFIG_OVERRIDE='connect/endpoints=["{address}"]'"""
@@ -70,6 +71,12 @@ def warnings(scenario: Scenario) -> Iterator[str]:
     nodes = (scenario.spec.nodes or {}).items()
     here = []
     for name, node in nodes:
+        modem = node.modem
+        if modem is not None and not isinstance(modem.where, str):
+            if modem.host.startswith(_LOOPBACK):
+                here.append(name)
+            else:
+                yield f"{name} opens its modem on {modem.host} for other machines, and modems ask for no password"
         kind, _, address = (node.listen or "").partition("/")
         if not node.listen or node.zenoh or kind == "unixsock-stream":
             continue
@@ -81,7 +88,7 @@ def warnings(scenario: Scenario) -> Iterator[str]:
                 "give it a file of zenoh's configuration (zenoh: FILE.json5) with TLS and users"
             )
     free = without_address(dict(nodes))
-    here += [name for name, node in nodes if (node.udp or name in free) and name not in here]
+    here = list(dict.fromkeys([*here, *(name for name, node in nodes if node.udp or name in free)]))
     if here and (others := _other_people()):
         who = f"other users of this machine ({', '.join(others)})"
         hint = "listen on unixsock-stream/PATH in a folder of yours, or use zenoh's users"

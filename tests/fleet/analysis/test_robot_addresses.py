@@ -54,6 +54,14 @@ def test_a_modem_says_what_programs_open() -> None:
     assert next(iter(lines(found, modems={"a": "43211"}))) == "a  modem of UnetStack: UnetSocket('127.0.0.1', 43211)"
 
 
+def test_the_modem_of_other_machines_is_warned_of() -> None:
+    nodes = {"a": {"modem": {"unet": 1101, "host": "0.0.0.0"}, "place": "0 0 10 m"}, "b": {"place": "9 0 10 m"}}
+    water = {"acoustic": {"queue": 4}}
+    found = parse_scenario(json.dumps({"title": "Modems", "nodes": nodes, "network": water}), "modems.yaml")
+    assert next(warnings(found)).startswith("a opens its modem on 0.0.0.0 for other machines")
+    assert next(iter(lines(found))) == f"a  modem of UnetStack: UnetSocket('{socket.gethostname()}', 1101)"
+
+
 def test_a_port_for_other_machines_is_warned_of_and_a_unix_socket_is_none(tmp_path: Path) -> None:
     found = scenario(
         a={"listen": f"unixsock-stream/{tmp_path}/a"},

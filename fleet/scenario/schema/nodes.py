@@ -44,6 +44,18 @@ def _port(value: Any) -> Any:
     return str(value)
 
 
+def _open(value: Any, more: str = "") -> Any:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 65_536:
+        raise mistake(f"expected a port from 0 to 65535{more}, got {describe_value(value)}", hint="0 is a free one")
+    return value
+
+
+def _open_or_path(value: Any) -> Any:
+    if isinstance(value, str) and value.strip() and "\0" not in value:
+        return value
+    return _open(value, ", or the path of a terminal")
+
+
 def _target(value: Any) -> Any:
     if not isinstance(value, str) or udp_target(value) is None:
         hint = "datagrams go to addresses of IPv4, or to names that have one" if "[" in str(value) else ""
@@ -73,10 +85,10 @@ class ModemPortSection(Section):
     """An acoustic modem that programs of the node open, in one of the languages of modems."""
 
     # TCP ports. 0: a free one, which the run tells, and programs of the file get as {modem}.
-    unet: Annotated[int, Field(ge=0, le=65535)] | None = None  # as UnetStack has 1100
+    unet: Annotated[int, BeforeValidator(_open)] | None = None  # as UnetStack has 1100
     # A WHOI Micro-Modem: a TCP port, or the path of a pseudo terminal that we make.
-    micromodem: Annotated[int, Field(ge=0, le=65535)] | str | None = None
-    evologics: Annotated[int, Field(ge=0, le=65535)] | None = None  # as EvoLogics has 9200; experimental
+    micromodem: Annotated[int | str, BeforeValidator(_open_or_path)] | None = None
+    evologics: Annotated[int, BeforeValidator(_open)] | None = None  # as EvoLogics has 9200; experimental
     host: str = "127.0.0.1"  # the address that it listens on
     address: Annotated[int, Field(ge=1, le=255)] | None = None  # in the water; None: the number of the node
 

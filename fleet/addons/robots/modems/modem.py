@@ -241,6 +241,8 @@ class ModemCore:
         if len(self._waiting) < self.sea.queue + _MOST_OWN:
             self._waiting.append(job)
             self._go_on()
+        else:
+            job.dropped(str(Cause.QUEUE))
 
     def _go_on(self) -> None:
         if self._now is None and self._waiting:

@@ -287,6 +287,19 @@ def test_a_full_queue_holds_up_no_second_try_and_no_answer(program: Program, wat
     assert given == [0, 0, RANGING, Unet.link] and not water.core.remark
 
 
+def test_a_second_try_that_finds_no_room_at_all_has_failed(
+    program: Program, water: Water, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else nobody would ever learn what became of the payload."""
+    monkeypatch.setattr("fleet.addons.robots.modems.modem._MOST_OWN", 0)
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
+    for _ in range(2):
+        program.requests(f"{UNET}.DatagramReq", "phy", data=[8])
+    assert [program.message()[1]["perf"] for _ in range(3)] == ["AGREE"] * 3
+    water.core.dropped(water.next().tag, Cause.MUTE)
+    assert program.message()[0] == "DatagramFailureNtf" and water.next().payload == b"\x08"
+
+
 def test_an_acknowledgement_of_another_node_delivers_nothing(program: Program, water: Water) -> None:
     program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
     assert program.message()[1]["perf"] == "AGREE"

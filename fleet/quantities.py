@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 from netem.errors import TextError
@@ -213,7 +214,8 @@ def describe_value(value: Any) -> str:
     return "a mapping" if isinstance(value, dict) else "a list" if isinstance(value, (list, tuple)) else "it"
 
 
-def _split(text: str) -> tuple[list[Fraction], str, int]:
+@lru_cache(4096)  # the scenarios that ship, and the runs of a study, say the same few texts again and again
+def _split(text: str) -> tuple[tuple[Fraction, ...], str, int]:
     """Leading numbers, the unit that follows, and the unit's column."""
     numbers: list[Fraction] = []
     at = 0
@@ -233,7 +235,7 @@ def _split(text: str) -> tuple[list[Fraction], str, int]:
             break
         numbers.append(number)
         at = end
-    return numbers, " ".join(text[at:].split()), at
+    return tuple(numbers), " ".join(text[at:].split()), at
 
 
 def _glued(word: str) -> tuple[Fraction, int] | None:

@@ -109,11 +109,7 @@ def signal(parts: Parts, report: Report) -> None:
         path: Path = ("checks", "signal", *(() if one else (index,)))
         if vehicles is not None or not of_a_plugin(check.topic):
             try:
-                everyone = range(1, spec.vehicles + 1)
-                unknown = {
-                    i: VehicleSignals(has_clock=i in parts.clocks, belief=BeliefKind.FILTER).places() for i in everyone
-                }
-                ask(check, vehicles or unknown)
+                ask(check, vehicles or _known_to_all(parts))
             except SignalCheckError as error:
                 told = [*(spec.signals or ())]
                 known = nearest(check.topic, told) or f"the signals are {', '.join(told) or 'none'}"
@@ -182,6 +178,12 @@ def _signals(parts: Parts, report: Report) -> dict[int, Mapping[str, SignalPlace
         }
     except (FleetError, PluginError):  # reported where it is about
         return None
+
+
+def _known_to_all(parts: Parts) -> dict[int, Mapping[str, SignalPlace]]:
+    """The signals that every vehicle has, whatever its laws are."""
+    everyone = range(1, parts.spec.vehicles + 1)
+    return {i: VehicleSignals(has_clock=i in parts.clocks, belief=BeliefKind.FILTER).places() for i in everyone}
 
 
 def python(parts: Parts, report: Report) -> None:

@@ -14,6 +14,7 @@ delivery = { value = "12 m 95 %, 24 m 70 %", source = "lake trial, May 2024" }
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,7 @@ def load_modem(name: str, folder: Path | None = None) -> Modem:
     return parse_modem(*data_files.find("modem", name, _PACKAGE, folder))
 
 
+@lru_cache(64)  # each run of a study reads its modem
 def parse_modem(data: bytes, name: str) -> Modem:
     """The modem in the bytes of a file. Raises DataFileError: with every mistake that was found."""
     values, problems = data_files.read("modem", data, name, ("name", "title", "modem"))

@@ -13,6 +13,7 @@ heading_bias = { value = 0.5, unit = "deg", source = "data sheet, 2024, p. 2" }
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -57,12 +58,17 @@ def load_grade(name: str, folder: Path | None = None) -> Grade:
 
     Raises DataFileError: with every mistake that was found.
     """
-    data, path = data_files.find("grade", name, _PACKAGE, folder)
-    values, problems = data_files.read("grade", data, path, ("name", "title", "grade"))
+    return parse_grade(*data_files.find("grade", name, _PACKAGE, folder))
+
+
+@lru_cache(64)  # each vehicle of each run of a study reads its grade
+def parse_grade(data: bytes, name: str) -> Grade:
+    """The grade in the bytes of a file. Raises DataFileError: with every mistake that was found."""
+    values, problems = data_files.read("grade", data, name, ("name", "title", "grade"))
     numbers = table(values, "grade", NUMBERS, problems)
     problems += grade_problems(numbers)
     if problems:
-        raise DataFileError("grade", path, problems)
+        raise DataFileError("grade", name, problems)
     return Grade(**numbers)
 
 

@@ -38,6 +38,7 @@ def test_grades_ship_and_say_where_each_number_comes_from() -> None:
         assert values["name"] == name
     assert load_grade("mems").gyro_bias == pytest.approx(radians(3.0) / 3600.0)
     assert load_grade("mems").gyro_walk == pytest.approx(radians(0.34) / 60.0)
+    assert load_grade("mems") is load_grade("mems")  # each vehicle of each run asks for it
 
 
 @pytest.mark.parametrize("ideal", [(), ("navigation=ideal",)])

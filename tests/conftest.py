@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, settings
 from kinds import FAST, NIGHTLY, NOT_FAST, ONCE, extra_of, without_packages
 from repository import ROOT
 from samples import take_all
+from stretches import dealt
 
 # The package `benchmarks`. At the end, since an installed `fleet` comes first, which may be compiled.
 sys.path.append(str(ROOT))
@@ -95,9 +96,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.write_line(f"NOT TESTED: the extra [{name}], since {package} is not installed: '.[test-all]'")
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each test the mark of its file. Those that may take longer begin first, or workers would wait for one."""
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
+    """Give each test the mark of its file, and each worker its share of those that may take longer."""
     for item in items:
         place = place_of(item.path)
         if place.startswith(ONCE):
@@ -108,7 +109,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("extra")
         elif place.startswith(FAST) and place not in NOT_FAST and not [*item.iter_markers("slow")]:
             item.add_marker("fast")
-    items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
+    yield  # some are left out
+    items[:] = dealt(items, longer, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+
+
+def longer(item: pytest.Item) -> object:
+    """What a test with a time limit of its own stays with: itself, or its file if the limit is that of the file."""
+    if item.get_closest_marker("timeout") is None:
+        return None
+    return item if any(mark.name == "timeout" for mark in item.own_markers) else item.path
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -126,6 +126,7 @@ def first_missing(shown: str, streams: tuple[str, ...]) -> str:
     return ""
 
 
+@pytest.mark.timeout(300)  # some take a minute, most of which they wait
 @pytest.mark.parametrize("name", LESSONS)
 def test_a_lesson_can_be_done(name: str, reader: Reader) -> None:
     if name in EXTRAS:

@@ -17,6 +17,7 @@ from shared import alone
 
 pytestmark = [
     pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="the extra [docs] is not installed"),
+    pytest.mark.timeout(300),  # it takes half a minute to build
 ]
 # Words that a stranger types, and a page that has to be among the first twelve.
 WORDS = {

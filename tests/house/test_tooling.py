@@ -5,11 +5,15 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from repository import ROOT
+from stretches import dealt
 
 from fleet.addons.hosts.protocol.page import FIELDS, page
 from netem.fault_kinds import WorldFaultKind
@@ -92,3 +96,18 @@ def test_the_protocol_page_knows_every_kind_of_fault() -> None:
 def test_protocol_page_is_current() -> None:
     """docs/reference/protocol.md is what `fleet protocol` prints now."""
     assert (ROOT / "docs" / "reference" / "protocol.md").read_text("utf-8") == page()
+
+
+def test_what_takes_longer_begins_first_on_all_workers() -> None:
+    """In a stretch for each; what shares something stays together, and nothing is lost."""
+    tests = ["a", "b", "C1", "c", "d", "C2", "D", "e", "E", "f", "F"]
+    found = dealt(tests, lambda test: test[0] if test[0].isupper() else None, 3)
+    assert found == ["C1", "C2", "F", "D", "a", "b", "c", "E", "d", "e", "f"]
+    assert dealt(tests, lambda test: None, 3) == tests
+
+
+@given(st.lists(st.tuples(st.integers(), st.none() | st.integers(0, 3))), st.integers(1, 5))
+def test_every_test_is_dealt_once(tests: list[tuple[int, int | None]], workers: int) -> None:
+    found = dealt(tests, lambda test: test[1], workers)
+    assert Counter(found) == Counter(tests)
+    assert [test for test in found if test[1] is None] == [test for test in tests if test[1] is None]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from in_process_runs import recorded
+from shared import made_once
 
 from fleet.addons.pictures.channel import OVERHEARD, SENDS, Transmission, _moment, lanes, timeline, transmissions
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, load
@@ -17,25 +19,35 @@ PARTITION = "faults=[{at: 8 s, for: 6 s, partition: '1,2 / 3,4'}]"
 LOSSY = "network.links={'*': loss 20%}"
 
 
-def ran(folder: Path, monkeypatch: pytest.MonkeyPatch, *changes: str) -> tuple[Run, set[tuple[int, int]]]:
-    """A run with (modem, first tick) of each of its transmissions."""
-    begun: set[tuple[int, int]] = set()
-    transmit = AcousticChannel._transmit
+Ran = Callable[..., tuple[Run, set[tuple[int, int]]]]
 
-    def listening(self: AcousticChannel, src: int, start: int, *rest: Any) -> None:
-        begun.add((src, start))
-        transmit(self, src, start, *rest)
 
-    monkeypatch.setattr(AcousticChannel, "_transmit", listening)
-    result = recorded(folder, "acoustic-s2c", "duration=30 s", "checks={}", *changes)
-    return load([result.directory])[0], begun
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    """Gives a run with (modem, first tick) of each of its transmissions; all workers share those with equal changes."""
+
+    def make(folder: Path, changes: tuple[str, ...]) -> tuple[Path, set[tuple[int, int]]]:
+        begun: set[tuple[int, int]] = set()
+        transmit = AcousticChannel._transmit
+
+        def listening(self: AcousticChannel, src: int, start: int, *rest: Any) -> None:
+            begun.add((src, start))
+            transmit(self, src, start, *rest)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(AcousticChannel, "_transmit", listening)
+            return recorded(folder, "acoustic-s2c", "duration=20 s", "checks={}", *changes).directory, begun
+
+    def run(*changes: str) -> tuple[Run, set[tuple[int, int]]]:
+        directory, begun = made_once(tmp_path_factory, ("channel", changes), lambda folder: make(folder, changes))
+        return load([directory])[0], begun
+
+    return run
 
 
 @pytest.mark.parametrize("changes", [(), (PARTITION, LOSSY), ("network.acoustic={modem: s2c, mac: csma}",)])
-def test_every_transmission_is_where_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: tuple[str, ...]
-) -> None:
-    run, begun = ran(tmp_path, monkeypatch, *changes)
+def test_every_transmission_is_where_it_was(ran: Ran, changes: tuple[str, ...]) -> None:
+    run, begun = ran(*changes)
     found = transmissions(run, run.log.links)
     at = {(one.src, round(one.begin / run.tick_s)) for one in found}
     # What is in flight at the end is left out, since the log does not say whether it had begun.
@@ -46,9 +58,9 @@ def test_every_transmission_is_where_it_was(
             assert when > one.begin and dst != one.src
 
 
-def test_what_is_lost_is_there_where_it_would_have_been_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_lost_is_there_where_it_would_have_been_heard(ran: Ran) -> None:
     """A reception is spoiled where another is on the air at the receiver, which the picture has to show."""
-    run, _ = ran(tmp_path, monkeypatch)
+    run, _ = ran()
     found = transmissions(run, run.log.links)
     spoiled = [(dst, at, one) for one in found for dst, at, fate in one.heard if fate == Cause.COLLISION]
     assert spoiled
@@ -61,8 +73,8 @@ def test_what_is_lost_is_there_where_it_would_have_been_heard(tmp_path: Path, mo
         assert any(o.src == dst and abs(o.begin - at) < one.airtime + run.tick_s for o in found)
 
 
-def test_a_row_for_each_modem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run, _ = ran(tmp_path, monkeypatch)
+def test_a_row_for_each_modem(ran: Ran) -> None:
+    run, _ = ran()
     (ax,) = timeline([run], View()).axes
     assert [text.get_text() for text in ax.get_yticklabels()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
     drawn = {str(one.get_gid()).removeprefix("channel-"): one for one in ax.collections}

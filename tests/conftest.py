@@ -110,12 +110,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
         elif place.startswith(FAST) and place not in NOT_FAST and not [*item.iter_markers("slow")]:
             item.add_marker("fast")
     yield  # some are left out
-    items[:] = dealt(items, longer, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+    items.sort(key=limit, reverse=True)
+    items[:] = dealt(items, group, int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
 
 
-def longer(item: pytest.Item) -> object:
-    """What a test with a time limit of its own stays with: itself, or its file if the limit is that of the file."""
-    if item.get_closest_marker("timeout") is None:
+def limit(item: pytest.Item) -> float:
+    """The time limit that a test has of its own [s]; 0: none. Who has a longer one is expected to take longer."""
+    mark = item.get_closest_marker("timeout")
+    return mark.args[0] if mark else 0.0
+
+
+def group(item: pytest.Item) -> object:
+    """What a test with a limit stays with: itself, or its file if the limit is that of the file; None: no limit."""
+    if not limit(item):
         return None
     return item if any(mark.name == "timeout" for mark in item.own_markers) else item.path
 

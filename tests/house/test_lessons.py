@@ -30,6 +30,8 @@ EXTRAS = {"4-where-does-it-break": "pandas", "5-watch-it-live": "nicegui", "7-ro
           "8-your-own-stack": "pandas",
           "9-your-program-in-lockstep": "greenlet", "10-your-modem-code": "unetpy"}  # fmt: skip
 
+ON_THE_WALL_CLOCK = ("8-your-own-stack", "10-your-modem-code")  # they wait more than a minute
+
 # A command that ends with 2 or more ends the box: 1 is a failed check, which some lessons are about.
 STRICT = "trap 's=$?; [ $s -lt 2 ] || exit $s' ERR\n"
 
@@ -126,8 +128,10 @@ def first_missing(shown: str, streams: tuple[str, ...]) -> str:
     return ""
 
 
-@pytest.mark.timeout(300)  # some take a minute, most of which they wait
-@pytest.mark.parametrize("name", LESSONS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.timeout(400 if name in ON_THE_WALL_CLOCK else 300)) for name in LESSONS],
+)
 def test_a_lesson_can_be_done(name: str, reader: Reader) -> None:
     if name in EXTRAS:
         pytest.importorskip(EXTRAS[name], reason="an extra is not installed")

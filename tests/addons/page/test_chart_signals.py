@@ -13,7 +13,7 @@ from fleet.logs.reader import LogReader
 
 @pytest.fixture
 def signals(alone: Alone) -> Signals:
-    reader = LogReader(Path(log_of(alone("paper", "duration=20 s", "checks={}"))))
+    reader = LogReader(Path(log_of(alone("paper", "duration=1 s", "checks={}"))))
     for _ in reader.blocks():
         break  # what stands at the beginning of a log declares all, also while it is written
     return Signals(reader.channels.values(), reader.schemas)
@@ -47,7 +47,7 @@ def test_a_damaged_message_has_no_value(signals: Signals) -> None:
 
 
 def test_units_that_cannot_be_read_are_none(alone: Alone) -> None:
-    reader = LogReader(Path(log_of(alone("paper", "duration=20 s", "checks={}"))))
+    reader = LogReader(Path(log_of(alone("paper", "duration=1 s", "checks={}"))))
     for _ in reader.blocks():
         break
     for channel in reader.channels.values():

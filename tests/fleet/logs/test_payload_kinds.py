@@ -63,7 +63,7 @@ def test_packets_are_counted_by_kind_and_a_damaged_name_is_no_kind() -> None:
 
 
 def test_a_run_with_a_protocol_has_two_kinds(alone: Alone) -> None:
-    log = open_log(log_of(alone("average", "duration=10 s", "checks={}")), ["link/*"])
+    log = open_log(log_of(alone("average", "duration=4 s", "checks={}")), ["link/*"])
     kinds = count_kinds(map(log.__getitem__, log))
     assert {one.kind for one in kinds} == {STATE, "average/exact", DAMAGED}
     assert sum(one.packets for one in kinds) == log.messages

@@ -76,8 +76,11 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
 
 
 def rotated(places: list[str]) -> list[str]:
-    """The files of all tests, from another one on for each worker: in a clean checkout Python compiles them, which takes
-    longer than all else before the first test, and so each worker compiles its share."""
+    """The files of all tests, from another one on for each worker.
+
+    In a clean checkout they are compiled, which takes longer than all else before the first test. So each worker
+    compiles its share.
+    """
     if places != ["tests"] or "PYTEST_XDIST_WORKER" not in os.environ:
         return places
     files = sorted(map(str, Path("tests").rglob("test_*.py")))

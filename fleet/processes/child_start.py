@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from types import ModuleType
 
 CONSOLE_PID_VARIABLE = "UUV_FLEET_CONSOLE_PID"  # tells the fork server its parent
+PRELOAD_VARIABLE = "UUV_FLEET_PRELOAD"  # tells the fork server what its children run
 
 PARENT_PID_VARIABLE = "UUV_FLEET_PARENT_PID"  # tells a command that a study starts whom it must not outlive
 

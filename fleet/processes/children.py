@@ -27,7 +27,13 @@ from typing import Any
 import setproctitle
 
 from fleet.errors import RunBroken
-from fleet.processes.child_start import CONSOLE_PID_VARIABLE, children_ignore_the_folder, die_with_parent, without_main
+from fleet.processes.child_start import (
+    CONSOLE_PID_VARIABLE,
+    PRELOAD_VARIABLE,
+    children_ignore_the_folder,
+    die_with_parent,
+    without_main,
+)
 from fleet.processes.interrupts import deferring_interrupts, out_of_reach
 from fleet.processes.limits import allow_most_open_files, start_thread
 from fleet.processes.run_folder import own_folder_for_multiprocessing
@@ -144,14 +150,17 @@ class Children:
                 self._on_exit(Exit(child.role, FORKSERVER_LOST if code is None else code, child.pid))
 
 
-def start_forkserver() -> None:
+def start_forkserver(modules: str | None = None) -> None:
     """Start the fork server, which imports what all processes need while its caller does something else, and ends with
     this process. `Children.start` does so, too, if no caller did before; it must be called on the same thread, the main
     one. Raises OSError if there is no room for another process.
+
+    Args:
+        modules: What the processes run, with spaces between; None: all that a run of vehicles starts.
     """
     allow_most_open_files()  # how many vehicles there will be is not known yet
     _set_preload()
-    with deferring_interrupts(), _forkserver_starting():
+    with deferring_interrupts(), _forkserver_starting(modules):
         multiprocessing.forkserver.ensure_running()
 
 
@@ -162,9 +171,10 @@ def _set_preload() -> None:
 
 
 @contextlib.contextmanager
-def _forkserver_starting() -> Iterator[None]:
+def _forkserver_starting(modules: str | None = None) -> Iterator[None]:
     own_folder_for_multiprocessing()
-    with without_main(), out_of_reach(), _named_console():
+    told = {CONSOLE_PID_VARIABLE: str(os.getpid())} | ({} if modules is None else {PRELOAD_VARIABLE: modules})
+    with without_main(), out_of_reach(), _telling(told):
         yield
 
 
@@ -177,13 +187,14 @@ def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
 
 
 @contextlib.contextmanager
-def _named_console() -> Iterator[None]:
-    # The fork server alone gets this variable: any other process with it would expect to be our child, and end at once.
-    os.environ[CONSOLE_PID_VARIABLE] = str(os.getpid())
+def _telling(variables: dict[str, str]) -> Iterator[None]:
+    # The fork server alone gets them: any other process with the first would expect to be our child, and end at once.
+    os.environ.update(variables)
     try:
         yield
     finally:
-        del os.environ[CONSOLE_PID_VARIABLE]
+        for name in variables:
+            del os.environ[name]
 
 
 @contextlib.contextmanager

@@ -114,15 +114,15 @@ def test_a_run_does_not_go_on_with_another_fork_server(tmp_path: Path) -> None:
 
 def test_a_process_that_is_started_when_ctrl_c_comes_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Who is to end the processes knows it by then."""
-    named = children._named_console
+    telling = children._telling
 
     @contextlib.contextmanager
-    def named_and_interrupted() -> Iterator[None]:
-        with named():
+    def telling_and_interrupted(variables: dict[str, str]) -> Iterator[None]:
+        with telling(variables):
             yield
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(children, "_named_console", named_and_interrupted)
+    monkeypatch.setattr(children, "_telling", telling_and_interrupted)
     ours = Children(lambda _: None)
     try:
         with pytest.raises(KeyboardInterrupt):

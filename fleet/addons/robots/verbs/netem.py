@@ -60,7 +60,7 @@ def netem(
 
     die_with_study()
     if not show_config:
-        start_forkserver()
+        start_forkserver("netem.relay_process")  # no vehicles: neither numpy nor their laws
     scenario = load_scenario(stack, [*changes, *key_options(seed=seed, duration=duration)])
     if not scenario.nodes:
         raise click.UsageError(f"{stack} has no nodes: fleet run {stack} runs it with agents of its own")

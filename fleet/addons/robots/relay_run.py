@@ -227,9 +227,8 @@ class RelayRun:
         self._modems = {self._scenario.nodes[i - 1]: where for i, where in opened.modems.items()}
         self._found = {name: f"{_FREE.removesuffix(ANY_PORT)}:{ports[name]}" for name in self._found}
         self.waiting = ""
-        for line in lines(
-            self._scenario, self._found, self._modems
-        ):  # not before: a program that comes too early is refused
+        # Not before: a program that comes too early is refused.
+        for line in lines(self._scenario, self._found, self._modems):
             self._print(line)
 
     def _begin(self, operator: Operator, progress: Callable[[], None]) -> None:

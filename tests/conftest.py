@@ -65,7 +65,9 @@ def pytest_collection(session: pytest.Session) -> Iterator[None]:
     from fleet.__main__ import COLLECT_EVERY  # not at the top: the number of numpy's threads is set there
 
     gc.disable()
-    session.config.args = rotated(session.config.args)
+    chosen = session.config.getoption("ignore") or session.config.getoption("ignore_glob")
+    if not chosen:  # pytest takes a file that is named, even if it is to be ignored
+        session.config.args = rotated(session.config.args)
     try:
         return (yield)
     finally:

@@ -85,7 +85,16 @@ def _of_stacks(scenarios: list[Scenario], folder: Path | None) -> Modules:
     """What runs of programs need: these are let in as a whole, and `fleet netem` imports the checks in Python."""
     for scenario in scenarios:
         admit_programs(scenario.spec, scenario.reading.policy)
-    return Modules(None if folder is None else str(folder.resolve()), programs=True)
+    return Modules(folder_of_checks(scenarios, folder), programs=True)
+
+
+def folder_of_checks(scenarios: Iterable[Scenario], folder: Path | None) -> str | None:
+    """Where the checks in Python of some stacks lie: beside the scenario's file, or where the user is, which is None.
+    `folder`: of that file. All else that a stack names is absolute by now."""
+    beside = [] if folder is None else [folder]
+    names = dict.fromkeys(name.partition(":")[0] for one in scenarios for name in one.spec.checks.python or ())
+    places = (find(name, [*beside, Path()]) for name in names)
+    return next((str(Path(place.folder).resolve()) for place in places if place and not place.installed), None)
 
 
 def packed(modules: Modules) -> Modules:

@@ -22,6 +22,7 @@ from typing import IO
 from msgspec import structs
 
 from fleet.addons.studies.measures import Samples
+from fleet.addons.studies.modules import folder_of_checks
 from fleet.addons.studies.one_run import Task, failed_row, late, measured_row, scenario_of, whole_row
 from fleet.addons.studies.row import FAILED, LATE, Row, run_name
 from fleet.errors import FleetError, printable
@@ -281,7 +282,8 @@ def _made(scenario: Scenario, out: Path) -> Result:
     with PrivateFolder("stack") as own:
         file = own / f"{scenario.name}.yaml"
         file.write_text(scenario.to_yaml(), "utf-8")
-        words, folder = _command(file, scenario.seed, out.resolve()), scenario.reading.folder
+        folder = folder_of_checks([scenario], scenario.reading.folder)
+        words = _command(file, scenario.seed, out.resolve())
         done = subprocess.run(words, capture_output=True, text=True, errors="replace", cwd=folder, check=False)
     directory = Path(done.stdout.strip() or "none")
     if not (directory / RESULT).exists():

@@ -63,3 +63,26 @@ def test_another_module_of_that_name_is_told(ready: Modules, tag: str) -> None:
 def test_a_path_that_leads_elsewhere_is_not_written(ready: Modules) -> None:
     with pytest.raises(ValueError, match="escape"):
         folder_of(ready._replace(carried=(("../escape.py", b""),)))
+
+
+CHECK = """
+from fleet.checks.api import Check
+class AtMostOne(Check):
+    pass
+"""
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_the_checks_of_a_stack_are_found_beside_its_file_or_where_the_user_is(
+    beside: bool, tag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A failure that a search has kept lies in a folder of its own, and its checks where the user was."""
+    (kept := tmp_path / "kept").mkdir()
+    monkeypatch.chdir(tmp_path)
+    ((kept if beside else tmp_path) / f"check_{tag}.py").write_text(CHECK, "utf-8")
+    text = f'title: A stack\nnodes: {{a: {{}}, b: {{}}}}\nchecks: {{"check_{tag}:AtMostOne": {{}}}}\n'
+    scenario = parse_scenario(text, "stack.yaml", folder=kept, policy=Policy(stranger="", imports=False))
+    found = modules_of([scenario], kept).folder
+    assert found == str((kept if beside else tmp_path).resolve())
+    plain = parse_scenario("title: A stack\nnodes: {a: {}, b: {}}\n", "stack.yaml", folder=kept)
+    assert modules_of([plain], kept).folder is None

@@ -1,4 +1,7 @@
-"""When a packet's transmission in water began, which follows from what a log tells of the packet at one receiver."""
+"""The transmissions in water that a log tells of: which packets belong to one, and when it began.
+
+A log has the end of each packet at each receiver. The beginning follows from that.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,19 @@ UNSENT = frozenset({Cause.MTU, Cause.REPLACED, Cause.DEAD_SENDER, Cause.QUEUE, C
 AT_START = frozenset({Cause.PARTITION, Cause.DOWN, Cause.LOSS})
 
 
+def name_of(link: Link, seq: int, acoustic: AcousticConfig) -> tuple[int, ...]:
+    """What the packets of one transmission have in common: a modem with `tries` sends to each neighbour by itself."""
+    src, dst = link
+    return (src, seq, dst) if acoustic.modem_of(src).tries else (src, seq)
+
+
+def end_of(sent: float, due: float, delay: float, fate: str) -> float:
+    """When a packet was usable, before rounding up to ticks, if it arrived; otherwise when it was lost. Times in s, as
+    the log has them.
+    """
+    return sent + delay if fate == Cause.DELIVERED else due
+
+
 def begin_of(
     link: Link, airtime: float, end: float, fate: str, flight: Callable[[float], float], acoustic: AcousticConfig,
     tick_s: float,
@@ -25,7 +41,7 @@ def begin_of(
     Args:
         link: sender and receiver.
         airtime: of the packet [s].
-        end: when it was usable, before rounding up to ticks, if it arrived; otherwise when it was lost [s].
+        end: by `end_of` [s].
         fate: none of UNSENT.
         flight: how long sound takes from sender to receiver, for what is sent at a time [s].
         acoustic: the channel.

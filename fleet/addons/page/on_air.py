@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from math import dist, isfinite
 from typing import Any
 
-from fleet.logs.transmissions import UNSENT, begin_of
+from fleet.logs.transmissions import UNSENT, begin_of, end_of, name_of
 from netem.condition import Link
 from netem.modem import AcousticConfig
 from world.vectors import Vec3
@@ -32,9 +32,7 @@ class OnAir:
     def packet(self, link: Link, message: Any, places: Mapping[int, Vec3]) -> None:
         """Take a message of a topic `link/<src>-<dst>`."""
         src, dst = link
-        modem = self._acoustic.modem_of(src)
-        # A modem with tries sends to each receiver by itself, and others send to all at once.
-        name = (src, message.seq, dst) if modem.tries else (src, message.seq)
+        name = name_of(link, message.seq, self._acoustic)
         times = message.sent, message.due, message.delay
         if message.copy or message.fate in UNSENT or name in self._known or not all(map(isfinite, times)):
             return
@@ -42,8 +40,9 @@ class OnAir:
         if len(self._known) > MOST:
             del self._known[next(iter(self._known))]
         away = dist(places[src], places[dst]) if src in places and dst in places else 0.0
-        airtime = modem.airtime_ns(getattr(message, "size", 0) or len(message.payload)) / 1e9
-        end = message.sent + message.delay if message.fate == "delivered" else message.due
+        size = getattr(message, "size", 0) or len(message.payload)
+        airtime = self._acoustic.modem_of(src).airtime_ns(size) / 1e9
+        end = end_of(*times, message.fate)
         flight = away / self._acoustic.sound_speed
         begin = begin_of(link, airtime, end, message.fate, lambda _: flight, self._acoustic, self._tick_s)
         one = src, round(begin, 4), round(airtime, 4)

@@ -23,7 +23,7 @@ from fleet.addons.pictures.style import LABEL_PT
 from fleet.logs.open_log import open_log
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
-from fleet.logs.transmissions import AT_START, UNSENT, begin_of
+from fleet.logs.transmissions import AT_START, UNSENT, begin_of, end_of, name_of
 from netem.cause import Cause
 from netem.condition import Link
 from netem.modem import AcousticConfig
@@ -54,8 +54,7 @@ def is_acoustic(run: Run) -> bool:
 def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
     """What was on the air for these links, in the order of the beginnings.
 
-    A modem with `tries` sends a packet to each neighbour by itself, and of its tries the last is known. Answers of
-    modems and requests of ranges are not in a log.
+    Of a modem with `tries` the last try is known. Its answers, and ranges that the channel measures, are in no log.
 
     Raises:
         NothingToDraw: the run has no acoustic channel, or its log has no sizes of packets.
@@ -66,10 +65,9 @@ def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
     flights, modems = _Flights(run, acoustic), _modems(run)
     parts: dict[tuple[int, ...], list[tuple[int, float, str, int]]] = {}
     for src, dst in links:
-        alone = bool(acoustic.modem_of(src).tries)
         for seq, sent, due, delay, fate, size in _rows(run, (src, dst)):
-            end = sent + delay if fate == Cause.DELIVERED else due
-            parts.setdefault((src, seq, dst) if alone else (src, seq), []).append((dst, end, fate, size))
+            row = dst, end_of(sent, due, delay, fate), fate, size
+            parts.setdefault(name_of((src, dst), seq, acoustic), []).append(row)
     found = []
     for (src, *_), rows in parts.items():
         sent_rows = [row for row in rows if row[2] not in UNSENT]

@@ -7,31 +7,24 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from channel_starts import channel_starts
 from in_process_runs import recorded
 from small_scenario import small
 
 from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.page.on_air import MOST, OnAir
 from fleet.addons.page.view_state import ViewState
-from netem.acoustic import AcousticChannel
 from netem.modem import AcousticConfig
 
 
-def test_every_transmission_of_the_channel_is_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[tuple[int, int]] = []
-    transmit = AcousticChannel._transmit
-
-    def listening(self: AcousticChannel, src: int, start: int, *rest: Any) -> None:
-        begun.append((src, start))
-        transmit(self, src, start, *rest)
-
-    monkeypatch.setattr(AcousticChannel, "_transmit", listening)
-    run = recorded(tmp_path, "acoustic-s2c", "duration=20 s", "checks={}")
+def test_every_transmission_of_the_channel_is_on_the_page(tmp_path: Path) -> None:
+    with channel_starts() as starts:
+        run = recorded(tmp_path, "acoustic-s2c", "duration=20 s", "checks={}")
     feed = LogFeed(run.directory / "run.mcap")
     feed.forward(20.0)
     found = sorted((src, begin) for src, begin, _ in feed.picture.history()["on_air"])
     tick_s = feed.scenario.tick_ns / 1e9
-    done = sorted((src, start * tick_s) for src, start in begun)
+    done = sorted((src, start * tick_s) for src, start in starts)
     last = {src: max(at for i, at in done if i == src) for src, _ in done}  # it may be in flight at the end
     missing = [one for one in done if not any(src == one[0] and abs(at - one[1]) <= tick_s + 1e-9 for src, at in found)]
     assert len(found) > 20 and len(done) - len(last) <= len(found) <= len(done)

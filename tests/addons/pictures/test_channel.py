@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+from channel_starts import channel_starts
 from in_process_runs import recorded
 from shared import made_once
 
 from fleet.addons.pictures.channel import OVERHEARD, SENDS, Transmission, _moment, lanes, timeline, transmissions
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, load
-from netem.acoustic import AcousticChannel
 from netem.cause import Cause
 
 PARTITION = "faults=[{at: 8 s, for: 6 s, partition: '1,2 / 3,4'}]"
@@ -27,20 +26,13 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
     """Gives a run with (modem, first tick) of each of its transmissions; all workers share those with equal changes."""
 
     def make(folder: Path, changes: tuple[str, ...]) -> tuple[Path, set[tuple[int, int]]]:
-        begun: set[tuple[int, int]] = set()
-        transmit = AcousticChannel._transmit
-
-        def listening(self: AcousticChannel, src: int, start: int, *rest: Any) -> None:
-            begun.add((src, start))
-            transmit(self, src, start, *rest)
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(AcousticChannel, "_transmit", listening)
-            return recorded(folder, "acoustic-s2c", "duration=20 s", "checks={}", *changes).directory, begun
+        with channel_starts() as found:
+            directory = recorded(folder, "acoustic-s2c", "duration=20 s", "checks={}", *changes).directory
+        return directory, set(found)
 
     def run(*changes: str) -> tuple[Run, set[tuple[int, int]]]:
-        directory, begun = made_once(tmp_path_factory, ("channel", changes), lambda folder: make(folder, changes))
-        return load([directory])[0], begun
+        directory, found = made_once(tmp_path_factory, ("channel", changes), lambda folder: make(folder, changes))
+        return load([directory])[0], found
 
     return run
 

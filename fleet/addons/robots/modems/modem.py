@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import cycle
+from pathlib import Path
 from struct import Struct
 from time import monotonic_ns
 from typing import Any, Literal, Protocol
@@ -105,8 +106,6 @@ class ModemCore:
 
     def listen(self) -> str:
         """See `ModemEndpoint`."""
-        from pathlib import Path
-
         self.language = self._make()
         self.line_port = LinePort(self.language, self._tick)
         if self._terminal:
@@ -141,8 +140,7 @@ class ModemCore:
 
     def reached(self, sound: Sound) -> None:
         """See `ModemEndpoint`."""
-        wait_s = (sound.begin_ns - monotonic_ns()) / 1e9
-        self.line_port.post(lambda: self.after(wait_s, lambda: self._hears_begin(sound)))
+        self.line_port.post(lambda: self._at(sound.begin_ns, lambda: self._hears_begin(sound)))
 
     @property
     def remark(self) -> str:
@@ -231,8 +229,11 @@ class ModemCore:
 
     def after(self, wait_s: float, then: Callable[[], None]) -> None:
         """Call something after a time [s], on the thread of the port."""
+        self._at(monotonic_ns() + round(wait_s * 1e9), then)
+
+    def _at(self, at_ns: int, then: Callable[[], None]) -> None:
         self._set += 1
-        heappush(self._alarms, (monotonic_ns() + round(wait_s * 1e9), self._set, then))
+        heappush(self._alarms, (at_ns, self._set, then))
 
     # Events.
 

@@ -33,10 +33,7 @@ from netem.wire.messages import Fate, MeasuredRange
 
 PUT, DELETE, QUERY, REPLY, DATAGRAM, MODEM = ("put", "delete", "query", "reply", "datagram", "modem")
 _MOST_BEGUN = 10_000  # transmissions of modems whose beginnings are remembered
-
-
-# What a receiver's modem notices.
-_SPOILED = frozenset({Cause.COLLISION, Cause.SNR})
+_SPOILED = frozenset({Cause.COLLISION, Cause.SNR})  # what a receiver's modem notices
 
 
 class MessageFate(Fate, frozen=True):
@@ -390,7 +387,9 @@ class Relay:
             del self._begun[next(iter(self._begun))]
 
     def frame_of(self, due: DueMessage) -> HeardFrame | None:
-        """What a modem hears with a message that is due; None: it is damaged, which the checksum of a modem tells."""
+        """The frame that a modem hears with a message that is due. None: the message is damaged, and a modem has
+        checksums.
+        """
         if due.packet.corrupted:
             return None
         request, packet, acoustic = due.message.what, due.packet, self.config.acoustic

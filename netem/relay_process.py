@@ -92,6 +92,7 @@ class RelayProcess:
         self._robots: dict[int, Robot] = {}
         self._sockets: dict[tuple[int, int], socket.socket] = {}
         self._senders: dict[int, tuple[Any, int]] = {}  # by robot: where its datagrams come from, and since when
+        self._names = {access.number: access.name for access in setup.robots}
         self._modems: dict[int, ModemEndpoint] = {}  # by robot
         self.opened: dict[int, str] = {}  # by robot: where programs open it
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
@@ -174,8 +175,8 @@ class RelayProcess:
 
     def _made(self, begin_ns: int, *, rehearses: bool) -> Relay:
         config = replace(self._setup.config, faults=()) if rehearses else self._setup.config
-        more = {"header": self._setup.header, "fragments": self._setup.fragments, "modems": self._modems}
-        relay = Relay(config, begin_ns, **more)  # type: ignore[arg-type]
+        header, fragments = self._setup.header, self._setup.fragments
+        relay = Relay(config, begin_ns, header=header, fragments=fragments, modems=self._modems)
         relay.places.update(self._setup.places)
         return relay
 
@@ -199,7 +200,7 @@ class RelayProcess:
             return
         robots, tick_s = self._setup.config.vehicles, self._setup.config.tick_ns / 1e9
         access_s = tick_s * max(acoustic.backoff_ticks, len(robots) * acoustic.slot_ticks)
-        names = {access.number: access.name for access in self._setup.robots}
+        names = self._names
         addresses = {names[i]: modem.address for i, modem in self._modems.items()}
         for i, modem in self._modems.items():
 
@@ -467,7 +468,7 @@ class RelayProcess:
 
     def _sum_up(self) -> None:
         """Notes about the whole run: who was slow, what stayed with its robot, what found no room."""
-        names = {access.number: access.name for access in self._setup.robots}
+        names = self._names
         for i, name in names.items():
             if (kept_ns := self._kept_ns.get(i, 0)) > SLOW_NS or self._untaken[i]:
                 lost = f"; {self._untaken[i]} were not taken (receiver)" if self._untaken[i] else ""

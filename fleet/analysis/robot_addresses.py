@@ -56,7 +56,7 @@ def _of(node: Node, found: str, opened: str) -> Iterator[str]:
         elif modem.language == "evologics":
             yield f"modem of EvoLogics (experimental): TCP {host}:{where}"
         else:
-            yield f"Micro-Modem: {where if isinstance(modem.micromodem, str) else f'TCP {host}:{where}'}"
+            yield f"Micro-Modem: {where if isinstance(modem.where, str) else f'TCP {host}:{where}'}"
     if listen := node.listen or found:
         address = _EVERY.sub(f"/{socket.gethostname()}", listen)
         yield f"""export ZENOH_CONFIG_OVERRIDE='connect/endpoints=["{address}"]'"""

@@ -10,14 +10,13 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import CONDITIONS
-from fleet.scenario.schema.nodes import ModemPortSection, TopicPlace, udp_target, without_address
+from fleet.scenario.schema.nodes import LANGUAGES, ModemPortSection, TopicPlace, udp_target, without_address
 from fleet.scenario.schema.programs import programs_of
 from fleet.scenario.schema.spec import ScenarioSpec
 from netem.parsing import nearest
 
 _OF_NODES = ("carry", "discovery", "lost_after", "header", "fragments")
 _CHECKS = frozenset({"max_age", "connected", "ledger", "middleware_loss", "punctual", "programs", "signal", "python"})
-_MOST_ADDRESS = {"unet": 255, "micromodem": 126, "evologics": 254}  # the next one of the latter two is everybody's
 _OF_PROGRAMS = ("kill", "pause")  # faults of programs that the run starts
 
 
@@ -39,14 +38,9 @@ def nodes(parts: Parts, report: Report) -> None:
     for number, (name, node) in enumerate(spec.nodes.items(), start=1):
         if water and node.place is None:
             report.add(("nodes", name), "has no place, and sound needs one", "place: 0 0 10 m, or a topic that says it")
-        if node.modem is not None and not water:
-            report.add(("nodes", name, "modem"), "needs water", "network: {acoustic: {queue: 10}}")
-        languages = () if node.modem is None else (node.modem.unet, node.modem.micromodem, node.modem.evologics)
-        if node.modem is not None and sum(each is not None for each in languages) != 1:
-            report.add(
-                ("nodes", name, "modem"), "has one language", "modem: {unet: 1101}, or {micromodem: /tmp/ttyAUV1}"
-            )
-        elif node.modem is not None:
+        if node.modem is not None:
+            if not water:
+                report.add(("nodes", name, "modem"), "needs water", "network: {acoustic: {queue: 10}}")
             _modem(name, number, node.modem, taken, report)
         if isinstance(node.place, TopicPlace) and not (node.listen or node.connect or name in free):
             report.add(("nodes", name, "place"), "a topic needs listen or connect")
@@ -65,8 +59,12 @@ def nodes(parts: Parts, report: Report) -> None:
 def _modem(
     name: str, number: int, modem: ModemPortSection, taken: dict[tuple[str, int | str], str], report: Report
 ) -> None:
-    """No two modems have one port, terminal or address."""
-    address, where, most = modem.address or number, modem.where, _MOST_ADDRESS[modem.language]
+    """A modem speaks one language, and no two have one port, terminal or address."""
+    if sum(getattr(modem, name) is not None for name in LANGUAGES) != 1:
+        hint = "modem: {unet: 1101}, or {micromodem: /tmp/ttyAUV1}"
+        report.add(("nodes", name, "modem"), "has one language", hint)
+        return
+    address, where, most = modem.address or number, modem.where, LANGUAGES[modem.language]
     if where and taken.setdefault(("port", where), name) != name:
         other = taken["port", where]
         report.add(("nodes", name, "modem"), f"{other} has {where}, too", "give it another, or 0: a free port")

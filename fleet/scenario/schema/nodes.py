@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field
 from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
 from fleet.scenario.value_types import Section, mistake
+from netem.endpoint import MOST_ADDRESS
 
 NAME = re.compile(r"(?=.{1,32}$)[A-Za-z][A-Za-z0-9_]*([.-][A-Za-z0-9_]+)*", re.ASCII)
 RESERVED = ("all", "bridge", "every", "halves", "isolate", "majority", "one", "ring")  # words where names stand
@@ -81,6 +82,10 @@ class TopicPlace(Section):
     topic: str
 
 
+# The languages of modems, and the greatest address of each: the next one of the latter two is everybody's.
+LANGUAGES = {"unet": MOST_ADDRESS, "evologics": 254, "micromodem": 126}
+
+
 class ModemPortSection(Section):
     """An acoustic modem that programs of the node open, in one of the languages of modems."""
 
@@ -90,12 +95,12 @@ class ModemPortSection(Section):
     micromodem: Annotated[int | str, BeforeValidator(_open_or_path)] | None = None
     evologics: Annotated[int, BeforeValidator(_open)] | None = None  # as EvoLogics has 9200; experimental
     host: str = "127.0.0.1"  # the address that it listens on
-    address: Annotated[int, Field(ge=1, le=255)] | None = None  # in the water; None: the number of the node
+    address: Annotated[int, Field(ge=1, le=MOST_ADDRESS)] | None = None  # in the water; None: the number of the node
 
     @property
     def language(self) -> str:
-        """The key that says its language."""
-        return next((name for name in ("unet", "evologics") if getattr(self, name) is not None), "micromodem")
+        """The key that says its language: the first one that is given."""
+        return next((name for name in LANGUAGES if getattr(self, name) is not None), next(iter(LANGUAGES)))
 
     @property
     def where(self) -> int | str | None:

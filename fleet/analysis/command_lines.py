@@ -1,4 +1,6 @@
-"""What the command lines of programs name, and this machine does not have: it is told before a run that it breaks."""
+"""Programs and scripts that command lines name, and that this machine does not have. A run would break for them, and
+the user learns it before.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def warnings(scenario: Scenario) -> Iterator[str]:
 
 
 def _missing(section: ProgramSection) -> str:
-    """What is not there of a command line; empty: everything is, or what a placeholder stands for decides."""
+    """The program or script of a command line that is not there, in words. Empty: both are there, or a placeholder
+    stands for one.
+    """
     folder, program = Path(section.folder or "."), section.run[0]
     if "{" in program:
         return ""

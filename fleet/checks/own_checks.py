@@ -224,10 +224,11 @@ class LastMessages:
         (self._own if own else self._states).settle(fate)
 
     def of(self, vehicles: Collection[int], signals: Iterable[str], silent: Collection[int] = ()) -> LastMessage | None:
-        """The message that made the difference to the vehicles that failed a check, of the signals that it looks at: of
-        the links whose last packet was lost or whose sender is silent, that of the link with the longest time since an
-        arrival, else the packet that arrived last. None if the check judges no protocol, or no packet of it has had a
-        fate yet.
+        """The message that made the difference to the vehicles that failed a check.
+
+        It is the last one of a link whose last packet was lost, or whose sender is silent. Of several such links that
+        one counts which has heard nothing for the longest time. If there is none, it is the packet that arrived last.
+        None: the check judges no protocol, or no packet of it has had a fate yet.
 
         Args:
             vehicles: that failed it.

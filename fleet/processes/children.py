@@ -156,7 +156,7 @@ def start_forkserver(modules: str | None = None) -> None:
     one. Raises OSError if there is no room for another process.
 
     Args:
-        modules: What the processes run, with spaces between; None: all that a run of vehicles starts.
+        modules: names of the modules that its children run, with spaces between. None: those of a run of vehicles.
     """
     allow_most_open_files()  # how many vehicles there will be is not known yet
     _set_preload()

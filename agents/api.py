@@ -27,7 +27,7 @@ from agents.laws.kinematics import earth_velocity, flight_path
 from agents.message import pack, unpack
 from agents.sample import NeighbourState, Sample, VelocityCommand
 from agents.trajectory import Motion
-from netem.wire.messages import Delivery, Nav
+from netem.wire.messages import Delivery, Nav, Said
 from world.signal import Signal
 from world.vectors import Vec3, Vec5
 
@@ -41,6 +41,7 @@ __all__ = [
     "Nav",
     "NeighbourState",
     "PayloadError",
+    "Said",
     "Sample",
     "Signal",
     "Telemetry",
@@ -117,7 +118,14 @@ class Tracking(Protocol):
 
 
 class WholeAgent(Protocol):
-    """A whole agent: it decides what it sends as well as how its vehicle moves."""
+    """A whole agent: it decides what it sends as well as how its vehicle moves.
+
+    It may have a third method, `take_said(self) -> Sequence[Said]`, which is called after each `decide`: the lines for
+    the log that it has to say since the last call. A line is `Said(at_ns, stream, text)`: the simulated time from the
+    beginning of the run [ns]; `out`, `err`, `end` or `failed`; and a text without a line break. If an agent says
+    something on `failed`, the run does not pass. The log takes at most 200 lines of a vehicle with each tick, and the
+    others later.
+    """
 
     signals: ClassVar[tuple[Signal, ...]]
 

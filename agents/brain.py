@@ -30,7 +30,7 @@ class Brain:
     def step(self, nav: Nav, deliveries: Sequence[Delivery]) -> Step:
         """Answer one sample: payloads on round ticks, and the decision. Raises as `decide`."""
         payloads = self.transmit(nav) if nav.tick % self.config.round_ticks == 0 else ()
-        tau, telemetry = self.decide(nav, deliveries)
+        tau, telemetry, _ = self.decide(nav, deliveries)
         return Step(tau, telemetry, payloads)
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:

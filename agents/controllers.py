@@ -96,6 +96,11 @@ def laws(config: LawChoice) -> dict[str, Law]:
     return {"guidance": config.guidance_law, "tracking": config.tracking_law}
 
 
+def speaks(config: LawChoice) -> bool:
+    """Whether the agent may have lines for the log. Raises PluginError: its class cannot be used."""
+    return config.agent is not None and hasattr(law_class("agent", config.agent), "take_said")
+
+
 def layout(config: LawChoice) -> SignalLayout:
     """The values that an agent with these laws reports. Raises PluginError: one of its laws cannot be used."""
     signals = {kind: law_class(kind, law).signals for kind, law in laws(config).items()}

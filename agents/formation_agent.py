@@ -89,7 +89,8 @@ class FormationAgent:
         if self._agent is None:
             return (0.0, 0.0, 0.0), {}
         states = [d for d in deliveries if d.payload[:1] != _OWN]
-        tau, telemetry = self._agent.decide(by_simulated_time(nav), states, None if course is None else _motion(course))
+        own, motion = by_simulated_time(nav), None if course is None else _motion(course)
+        tau, telemetry, _ = self._agent.decide(own, states, motion)
         return tau, {
             name: telemetry[place.start] if width == 1 else telemetry[place]
             for name, (width, place) in self._where.items()

@@ -117,8 +117,8 @@ class AgentLoop:
             return out
         if not self.ideal and sends:
             out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
-        tau, telemetry = self.core.decide(nav, self._due(nav.tick))
-        out.append(Command(self.incarnation, nav.tick, tau, telemetry))
+        tau, telemetry, said = self.core.decide(nav, self._due(nav.tick))
+        out.append(Command(self.incarnation, nav.tick, tau, telemetry, said))
         self._nav, self._tick, self._transmitted = None, nav.tick, False
         return out
 
@@ -176,8 +176,8 @@ class RealtimeLoop(AgentLoop):
         out: list[Answer] = []
         if nav.tick % self.round_ticks == 0:
             out.append(Transmission(self.incarnation, nav.tick, self.core.transmit(nav)))
-        tau, telemetry = self.core.decide(nav, taken)
-        out.append(Command(self.incarnation, nav.tick, tau, telemetry))
+        tau, telemetry, said = self.core.decide(nav, taken)
+        out.append(Command(self.incarnation, nav.tick, tau, telemetry, said))
         if taken:
             arrivals = (Arrival(*name, self._at_ns.pop(name)) for name in ((d.src, d.seq, d.copy) for d in taken))
             out.append(Receipt(self.incarnation, nav.tick, tuple(arrivals)))

@@ -12,6 +12,7 @@ from agents.laws.velocity_command import clip
 from agents.own_time import by_own_clock, received_by_own_clock
 from agents.plugins.laws import law_fence, load
 from agents.sample import Decision
+from agents.speech import Speech, usable
 from netem.wire.messages import Delivery, Nav
 from world.plugins.fence import shown
 from world.vectors import Vec3
@@ -27,6 +28,7 @@ class PluggedAgent(Brain):
         self._fence = law_fence(config, law, self._notes)
         agent_class = load("agent", law)
         self._user = self._fence.make(agent_class, config, law.parameters)
+        self._speech = Speech() if hasattr(agent_class, "take_said") else None
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour; none once it has failed."""
@@ -52,7 +54,8 @@ class PluggedAgent(Brain):
         self._last_tick = tick
         demand: Vec3 = (0.0, 0.0, 0.0)
         telemetry = (nan,) * self.layout.size
-        if not self._failed:
+        works = not self._failed
+        if works:
             fence, method = self._fence, self._user.decide
             try:
                 own = by_own_clock(nav, self.config.tick_ns)
@@ -65,7 +68,22 @@ class PluggedAgent(Brain):
             except ControllerError as error:
                 self._coast(error)
                 demand = (0.0, 0.0, 0.0)
-        return Decision(clip(demand, *self._tau_limits), telemetry)
+        if self._speech is None:
+            return Decision(clip(demand, *self._tau_limits), telemetry)
+        if works:
+            self._listen(tick, self._speech)  # also when it has just failed: it may say why
+        return Decision(clip(demand, *self._tau_limits), telemetry, self._speech.take())
+
+    def _listen(self, tick: int, speech: Speech) -> None:
+        fence, method = self._fence, self._user.take_said
+        try:
+            lines = fence.call(tick, method)
+            if not isinstance(lines, (list, tuple)) or not all(map(usable, lines)):
+                raise fence.wrong(tick, method, f"returned {shown(lines)}: expected a list of Said(ns, stream, text)")
+        except ControllerError as error:
+            self._coast(error)
+        else:
+            speech.put(lines)
 
     def counters(self) -> dict[str, int]:
         """None: what a user's agent counts is in its telemetry."""

@@ -6,6 +6,7 @@ from random import Random
 from typing import NamedTuple
 
 from agents.trajectory import Motion
+from netem.wire.messages import Said
 from world.vectors import Vec3, Vec5
 
 
@@ -63,6 +64,7 @@ class Decision(NamedTuple):
 
     tau: Vec3  # surge force [N], pitch and yaw moment [N m], within the actuators' limits
     telemetry: tuple[float, ...]  # the values of the declared signals, in order
+    said: tuple[Said, ...] = ()  # lines for the log
 
 
 class Step(NamedTuple):

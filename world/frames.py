@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from operator import attrgetter
 from typing import TypeVar
 
-from netem.wire.messages import Frame, Life, Tumble, VehicleFrame
+from netem.wire.messages import Frame, Life, Said, SaidBy, Tumble, VehicleFrame
 
 _Change = TypeVar("_Change", Life, Tumble)
 
@@ -23,6 +23,7 @@ class FrameAssembly:
         self._rows: dict[int, list[VehicleFrame]] = {}
         self._lives: dict[int, list[Life]] = {}
         self._tumbles: dict[int, list[Tumble]] = {}
+        self._said: dict[int, list[SaidBy]] = {}
 
     @property
     def finished(self) -> bool:
@@ -40,9 +41,14 @@ class FrameAssembly:
     def tumble(self, tumble: Tumble) -> None:
         self._tumbles.setdefault(self._frame_of(tumble.tick), []).append(tumble)
 
-    def begin(self, tick: int) -> None:
-        """Begin with the frame of this tick."""
+    def say(self, tick: int, i: int, lines: Iterable[Said]) -> None:
+        """Vehicle i's agent says these lines with its command of a tick; on a wall clock its frame may have left."""
+        self._said.setdefault(max(self._frame_of(tick), self._next), []).extend(SaidBy(i, line) for line in lines)
+
+    def begin(self, tick: int, before: FrameAssembly) -> None:
+        """Begin with the frame of this tick, and with what was said since the last frame of another run."""
         self._tumbles.clear()
+        self._said = before._said
         self._next = tick
 
     def complete(self) -> list[Frame]:
@@ -54,7 +60,8 @@ class FrameAssembly:
             rows.sort(key=attrgetter("id"))
             lives = _in_order(self._lives.pop(tick, ()))
             tumbles = _in_order(self._tumbles.pop(tick, ()))
-            frames.append(Frame(tick, False, lives, tumbles, tuple(rows)))
+            said = tuple(sorted(self._said.pop(tick, ()), key=attrgetter("vehicle")))
+            frames.append(Frame(tick, False, lives, tumbles, tuple(rows), said))
             self._next = min(last, tick + self._every) if tick < last else last + 1
         return frames
 

@@ -85,6 +85,8 @@ class Lockstep:
             raise OutOfPlace("tick", nav.tick, command.tick)
         del self._awaiting[i]
         world, k = state.world, nav.tick
+        if command.said:
+            command, raw = state.listen(i, k, command), None
         place = world.position(i)
         tau = world.actuate(i, state.effective(i, k, command.tau))
         if state.frames.due(k):

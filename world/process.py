@@ -37,6 +37,7 @@ from netem.wire.messages import (
     Nav,
     Restart,
     Round,
+    SaidBy,
     VehicleFrame,
     WorldFault,
     WorldFaults,
@@ -279,6 +280,8 @@ class WorldProcess:
             self._nav_to(i, data)
 
     def _add_frame(self, frame: Frame) -> None:
+        for said, _ in split(frame.said, _said_bytes, PART_BYTES) if frame.said else ():
+            self._add_part(Frame(frame.tick, True, (), (), (), tuple(said)), sum(map(_said_bytes, said)))
         lives, tumbles = frame.lives, frame.tumbles
         for rows, more in split(frame.vehicles, _row_bytes, PART_BYTES):
             part = Frame(frame.tick, more, lives, tumbles, tuple(rows))
@@ -360,3 +363,7 @@ def _checked(faults: tuple[WorldFault, ...]) -> tuple[WorldFault, ...]:
 def _row_bytes(row: VehicleFrame) -> int:
     # Nine bytes per double of state, measurement and tau, a little for the rest.
     return 240 + len(row.command) + 9 * (len(row.plant) + 2 + len(row.belief)) + FIX_BYTES * len(row.fixes)
+
+
+def _said_bytes(line: SaidBy) -> int:
+    return 32 + 4 * len(line.said.text)  # UTF-8 takes up to four bytes for a character

@@ -134,6 +134,8 @@ class RealtimeRun:
             self.state.notes.append((i, self._tick, text))
         self._heard[i] = self._tick
         self._taken.append((i, command.tick))
+        if command.said:  # a command that comes too late to act is heard all the same
+            command, raw = self.state.listen(i, self._tick, command), None
         if command.tick < self._answered[i]:
             self.punctuality[i].stale += 1
             return []

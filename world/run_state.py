@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from msgspec import structs
+
 from netem.errors import OutOfPlace
 from netem.lives import Lives
 from netem.wire.messages import Command, Life, Nav, Tumble, VehicleFrame
@@ -92,6 +94,13 @@ class RunState:
                 self._delayed[i].clear()
         return absent
 
+    def listen(self, i: int, k: int, command: Command) -> Command:
+        """Put what vehicle i's agent says with its command into the next frame, also if that is not of this tick;
+        returns the rest of the command.
+        """
+        self.frames.say(k, i, command.said)
+        return structs.replace(command, said=())
+
     def effective(self, i: int, k: int, tau: tuple[float, ...]) -> Vec3:
         """The command that takes effect at tick k [N, N m]: that of some ticks ago when the agent is slow."""
         x, y, z = tau
@@ -156,7 +165,7 @@ class RunState:
         self._tumbled, self._tumblings = before._tumbled, before._tumblings
         self._absent = self._diverged | {i for i in self.ids if self.lives.without_agent(i, tick - 1)}
         self.life = {i: self.lives.incarnation(i, tick - 1) for i in self.ids}
-        self.frames.begin(tick)
+        self.frames.begin(tick, before.frames)
 
     @property
     def tumbling(self) -> dict[int, tuple[int, int]]:

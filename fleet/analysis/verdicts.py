@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf
 from typing import Any
 
+from fleet.errors import printable
 from fleet.quantities import vehicle_names, vehicle_numbers
 from fleet.recorder.journal import Journal
 from fleet.result.verdict import Moment, Verdict
@@ -47,6 +48,8 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         verdicts.append(_tumbled(tumbled, scenario, journal))
     if not deaths.waived and not scenario.nodes:
         verdicts.append(_deaths(deaths, scenario, journal))
+    if journal.failures.count and checks.programs is None:
+        verdicts.append(_programs(scenario, journal))
     failures = journal.metrics.qp_failures()
     if checks.qp_infeasible is not None:
         verdicts.append(_at_most("qp_infeasible", checks.qp_infeasible, sum(failures.values())))
@@ -290,6 +293,20 @@ def _deaths(check: Standing, scenario: Scenario, journal: Journal) -> Verdict:
     found = ", ".join([str(died), *(f"{e.what} at {e.tick * tick_s:g} s" for e in journal.died[:4])])
     asked = f"at most {check.at_most} that no fault asked for"
     return _counted("deaths", died, check.at_most, "times", asked, found)
+
+
+def _programs(scenario: Scenario, journal: Journal) -> Verdict:
+    """Agents that are programs of others, of which some have failed; as long as none has, the check is not shown."""
+    failures = journal.failures
+    each = [
+        f"vehicle {i}: at {at_ns / 1e9:.2f} s: {text}{f': {last:.120}' if last else ''}"
+        for i, at_ns, text, last in failures.first[:4]
+    ]
+    found = printable("; ".join(each)) + (f" and {failures.count - 4} more" if failures.count > 4 else "")
+    first = failures.first[0]
+    moment = _moment(journal, scenario, first.at_ns / 1e9, first.vehicle)
+    verdict = Verdict("programs", False, "none fails", found, failures.count, 0, "programs", moment)
+    return verdict.with_margin(-failures.count, "programs", first.at_ns / 1e9)
 
 
 OF_THE_TOOL = frozenset({"deaths", "ledger", "middleware_loss"})  # `expect: fail` judges the protocol, not this program

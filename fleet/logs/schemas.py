@@ -13,12 +13,14 @@ from functools import lru_cache
 from struct import Struct
 from typing import Any
 
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from fleet.scenario.sections import signals
+from netem.wire.messages import END, ERR, FAILED, OUT, Said
 from world.signal import Signal
 
 PACKAGE = "uuv_fleet"
@@ -200,6 +202,26 @@ def pose_schema() -> Schema:
         "pose.orientation": ["1", "unit quaternion, body to NED"],
     }
     return foxglove_schema(PoseInFrame, units)
+
+
+LEVELS = {OUT: Log.INFO, ERR: Log.WARNING, END: Log.INFO, FAILED: Log.ERROR}
+
+
+def said_schema() -> Schema:
+    """Foxglove's log message, which viewers show as a list of lines. Its `file` is the stream."""
+    units = {
+        "timestamp": ["s", "when it was said"],
+        "message": ["", "the line"],
+        "name": ["", "who said it"],
+        "file": ["", "out, err; end or failed: how its program ended"],
+    }
+    return foxglove_schema(Log, units)
+
+
+def said_data(who: str, said: Said) -> bytes:
+    """A line as a message of `said_schema`."""
+    log = Log(timestamp=stamp_of(said.at_ns), level=LEVELS[said.stream], message=said.text, name=who, file=said.stream)
+    return log.SerializeToString()
 
 
 def foxglove_schema(message: Any, units: Mapping[str, Sequence[str]]) -> Schema:

@@ -15,6 +15,11 @@ _BELIEVER = re.compile(r"uuv/(\d{1,9})/(belief|located)", re.ASCII)
 BELIEFS = ("uuv/*/belief", "uuv/*/located")  # what vehicles believe of their places, by navigator and by ranges
 
 
+def said_topic(i: int) -> str:
+    """The lines that vehicle i's agent said."""
+    return f"said/{i}"
+
+
 def link_topic(link: Link) -> str:
     return f"link/{link[0]}-{link[1]}"
 

@@ -18,6 +18,7 @@ from msgspec import structs
 from fleet.checks.own_checks import OwnChecks
 from fleet.recorder.connectivity import Connectivity
 from fleet.recorder.metrics import Metrics, VehicleError
+from fleet.recorder.program_failures import ProgramFailures
 from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import Event, event_order
@@ -69,6 +70,7 @@ class Journal:
         self.ages = Ages(scenario.graph.links, from_first_packet=bool(scenario.nodes))
         self.separation = Separation.asked(scenario)
         self.connectivity = Connectivity.asked(scenario)
+        self.failures = ProgramFailures()
         self.happened: list[Event] = []  # events that are written already
         self.begin = 0  # the tick at which the run begins; another one if it goes on from another run
         self.written = -1  # complete in the log up to this tick
@@ -179,6 +181,7 @@ class Journal:
             self._write_events(frame)
             errors = self._unmeasured or self.metrics.frame(frame, commands)
             self.log.frame(frame, commands, errors)
+            self.failures.frame(frame)
             if self.checks is not None:
                 self.checks.frame(frame, commands, errors)
             if self.separation is not None:
@@ -286,6 +289,7 @@ def _joined(parts: list[Frame]) -> Frame:
         vehicles=tuple(row for part in parts for row in part.vehicles),
         lives=tuple(life for part in parts for life in part.lives),
         tumbles=tuple(tumble for part in parts for tumble in part.tumbles),
+        said=tuple(line for part in parts for line in part.said),
     )
 
 

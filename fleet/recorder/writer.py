@@ -21,7 +21,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from msgspec.structs import astuple
 
 from agents.config import AgentConfig
-from agents.controllers import law_class, laws
+from agents.controllers import law_class, laws, speaks
 from fleet.logs.batch import Batch
 from fleet.logs.schemas import (
     BELIEF,
@@ -44,11 +44,13 @@ from fleet.logs.schemas import (
     flat_schema,
     foxglove_schema,
     pose_schema,
+    said_data,
+    said_schema,
     signal_columns,
     stamp_field,
     varint,
 )
-from fleet.logs.topic_names import link_topic
+from fleet.logs.topic_names import link_topic, said_topic
 from fleet.recorder.log_file import SECOND_NS
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.scene.messages import SCENE_UNITS, LinkHistories, Scene
@@ -132,6 +134,9 @@ class LogWriter:
         fix = flat_schema("Fix", FIX) if navigating else None
         self._fix = None if fix is None else fix.message
         self._fixes = {} if fix is None else {i: self._channel(f"uuv/{i}/fix", fix) for i in navigating}
+        speaking = [i for i, one in enumerate(scenario.controls, 1) if one.external or speaks(one)]
+        said = said_schema() if speaking else None
+        self._said = {} if said is None else {i: self._channel(said_topic(i), said) for i in speaking}
         self._scene = Scene(scenario, links)
         self._drawn = self._drawings()
         fault = flat_schema("Fault", FAULT)
@@ -226,6 +231,8 @@ class LogWriter:
                     self._tap.message(*message)
         if self._fixes:
             self._write_fixes(frame, at_ns)
+        for i, said in ((line.vehicle, line.said) for line in frame.said):
+            self._add(self._said[i], at_ns, said.at_ns, tick, said_data(f"vehicle {i}", said))
         for group in due:
             if group in self._drawn:
                 channel, draw = self._drawn[group]

@@ -9,7 +9,7 @@ from typing import get_args
 import msgspec
 
 from netem.errors import MalformedMessage
-from netem.wire.messages import Delivery, Fate, Inbox, LinkReport, Message, Nav, Round
+from netem.wire.messages import Command, Delivery, Fate, Inbox, LinkReport, Message, Nav, Round
 
 LONGEST_REASON = 150  # characters, so that a sender cannot fill the logs
 _CLASSES: dict[str, type[msgspec.Struct]] = {cls.__struct_config__.tag: cls for cls in get_args(Message)}
@@ -17,6 +17,7 @@ _NOT_FINITE = re.compile(r"Expected `float` [<>]= -?1\.79\S+(?= - at `\$(.*)`)")
 _ENCODER = msgspec.msgpack.Encoder()
 # The heads of arrays of five, six and seven: a nav without roll, clock and belief, and so on.
 _NAV, _NAV_WITH_ROLL, _NAV_WITH_CLOCK = b"\x95", b"\x96", b"\x97"
+_SILENT_COMMAND = b"\x95"  # a command with which nothing is said, as agents know it that were written before
 _LAST_ROUND = b"\x95"  # a round that fits into one message, as nearly all, is written as before there were parts
 _DELIVERY = attrgetter(*Delivery.__struct_fields__[:6])
 _FATE = attrgetter(*Fate.__struct_fields__[:11])
@@ -33,6 +34,8 @@ def encode(message: Message) -> bytes:
         fates = [_FATE(fate) if fate.measured is None else fate for fate in message.fates]
         return _ENCODER.encode(("links", message.until, message.closing, message.more, fates))
     data = _ENCODER.encode(message)
+    if type(message) is Command and not message.said:
+        return _SILENT_COMMAND + data[1:-1]
     if type(message) is Nav and not message.belief:
         # Agents that were written before there was roll, a clock, or belief know it without.
         if message.clock_ns is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from netem.cause import Cause
 from netem.fault_kinds import WorldFaultKind
@@ -96,7 +96,7 @@ class VehicleFrame(WireRecord, frozen=True):
     nu: Annotated[Reals5, about("true u, v, w (body, over ground), q, r", "m/s, rad/s")]
     nav: Annotated[Reals, about("what its sensor reported: eta, nu, and roll if it has it; empty when not sensed")]
     tau: Annotated[Reals, about("applied thrust and moments after limits; empty at the end", "N, N m")]
-    command: Annotated[bytes, about("the agent's Command message; empty when none")]
+    command: Annotated[bytes, about("the agent's Command message, without what it said; empty when none")]
     plant: Annotated[Reals, about("true phi, p and what its plant reports, in that order; empty without a plant")]
     clock: Annotated[Reals, about("by how much its clock is ahead; empty while all clocks are right", "s")]
     belief: Annotated[Reals, about("covariance of what it reported, as in nav; empty where nav has none")]
@@ -132,6 +132,30 @@ class Tumble(WireRecord, frozen=True):
     number: Annotated[Uint, about("how often it has tumbled, this time included")]
 
 
+OUT, ERR, END, FAILED = "out", "err", "end", "failed"  # streams of what is said: printed twice, and how it ended
+MOST_SAID = 200  # lines with one command
+LONGEST_SAID = 1000  # characters of a line
+
+
+class Said(WireRecord, frozen=True):
+    """A line that an agent said: what its program printed, or how that ended."""
+
+    at_ns: Annotated[Uint, Meta(le=2**63 - 1), about("when, from the beginning of the run", "ns")]
+    stream: Annotated[
+        str,
+        Meta(pattern=f"^({OUT}|{ERR}|{END}|{FAILED})$"),
+        about("out, err; end, or failed: how its program ended, which is then no more"),
+    ]
+    text: Annotated[str, Meta(max_length=LONGEST_SAID), about("without its line break")]
+
+
+class SaidBy(WireRecord, frozen=True):
+    """A line, and who said it."""
+
+    vehicle: Annotated[Uint, about("vehicle number")]
+    said: Annotated[Said, about("the line")]
+
+
 class Frame(WireRecord, frozen=True):
     """All vehicles at one tick; the log's source."""
 
@@ -140,6 +164,7 @@ class Frame(WireRecord, frozen=True):
     lives: Annotated[tuple[Life, ...], about("since the frame before; with the first part")]
     tumbles: Annotated[tuple[Tumble, ...], about("likewise")]
     vehicles: Annotated[tuple[VehicleFrame, ...], about("ascending by id")]
+    said: Annotated[tuple[SaidBy, ...], about("since the frame before, by vehicle; each vehicle's in its order")] = ()
 
 
 class TimedFault(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -228,6 +253,9 @@ class Command(WireRecord, frozen=True, tag="cmd"):
     telemetry: Annotated[
         tuple[float, ...], about("controller signals in their declared order, or none at all; need not be finite")
     ]
+    said: Annotated[
+        tuple[Said, ...], Meta(max_length=MOST_SAID), about("what it has to say, in order; **left out** without any")
+    ] = ()
 
 
 class Transmission(WireRecord, frozen=True, tag="tx"):

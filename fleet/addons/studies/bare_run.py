@@ -22,6 +22,7 @@ from fleet.addons.studies.errors import StudyError
 from fleet.checks.own_checks import OwnChecks, due_groups
 from fleet.checks.triggers import Triggers
 from fleet.checks.values import Values
+from fleet.errors import FleetError
 from fleet.result.verdict import Verdict
 from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
@@ -30,13 +31,13 @@ from fleet.scenario.sections.timeline import begin_and_end, event_order, parts
 from netem.faults import NetFault
 from netem.lives import Lives
 from netem.network import Netem
-from netem.wire.messages import Command, Fate, Inbox, Nav, TimedFault, Transmission, WorldFault
+from netem.wire.messages import FAILED, Command, Fate, Inbox, Nav, TimedFault, Transmission, WorldFault
 from world.plugins.fence import OverBudgetError, alarm
 from world.sea import World
 
 BUDGET_S = 600.0  # of wall time; what takes longer is left to the emulator, which limits each call of a check
 # Checks that a bare run leaves out: of the emulator's own work, and of what never happens to a moored vehicle.
-_LEFT_OUT = frozenset({"ledger", "middleware_loss", "tumbled", "deaths", "qp_infeasible"})
+_LEFT_OUT = frozenset({"ledger", "middleware_loss", "tumbled", "deaths", "qp_infeasible", "programs"})
 
 
 def fits(scenario: Scenario) -> bool:
@@ -162,6 +163,8 @@ class _BareRun:
             if isinstance(answer, Transmission):
                 sent[i] = answer.payloads
             elif isinstance(answer, Command):
+                if self._scenario.spec.checks.programs is None and any(one.stream == FAILED for one in answer.said):
+                    raise FleetError("a program failed, and the emulator says how")
                 groups["control"] = groups["guidance"] = answer.telemetry
 
     def _frame(self, k: int, known: dict[int, dict[str, Values]]) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
+from fleet.scenario.schema.checks import WAIVED
 from fleet.scenario.schema.programs import OF_KEYS, PLACEHOLDERS, filled, no_placeholder, nodes_of, programs_of
 from netem.parsing import nearest
 
@@ -17,9 +18,11 @@ def programs(parts: Parts, report: Report) -> None:
     """Each program is one of a node, in a folder that is there, and what it needs is known when it starts."""
     spec = parts.spec
     if spec.nodes is None:
-        for key in ("programs", *_OF_PROGRAMS, "checks.programs"):
-            if report.has(tuple(key.split("."))):
-                report.add(tuple(key.split(".")), "has no effect without nodes", key=True)
+        for key in ("programs", *_OF_PROGRAMS):
+            if report.has((key,)):
+                report.add((key,), "has no effect without nodes", key=True)
+        if spec.checks.programs not in (None, {"*": WAIVED}):
+            report.add(("checks", "programs"), f"expected {WAIVED}: those of vehicles must not fail, no more is asked")
         return
     if not spec.programs:
         for path in (("begin",), ("compose",), ("checks", "programs")):
@@ -49,7 +52,9 @@ def programs(parts: Parts, report: Report) -> None:
         if ready.after is not None and ready.after > ready.within:
             report.add((*path, "ready", "after"), "is longer than within", "within: the longest wait")
     started = list(programs_of(spec.programs or {}, names))
-    for pattern in spec.checks.programs or {} if started else ():
+    for pattern, what in (spec.checks.programs or {}).items() if started else ():
+        if what == WAIVED:
+            report.add(("checks", "programs"), f"expected running or done, got {WAIVED}")
         if not any(nodes_of(pattern, [name, node]) for name, node, _ in started):
             known = [name for name, _, _ in started]
             hint = nearest(pattern, known) or f"the programs are {', '.join(known)}"

@@ -215,7 +215,7 @@ class ChecksSection(Section):
     ledger: Literal["balanced"] | None = None
     middleware_loss: AtMost | None = None
     punctual: PunctualCheck | None = None  # nodes: on by default
-    programs: ProgramsCheck | None = None  # of nodes: that they run, or end well; on by default
+    programs: ProgramsCheck | None = None  # that they run, or end well; of vehicles, that none fails; on by default
     signal: Annotated[list[SignalCheck] | None, BeforeValidator(_listed), PlainSerializer(_show_signals)] = None
     python: Annotated[dict[str, Instances] | None, Field(alias=PYTHON)] = None
 

@@ -216,7 +216,7 @@ def programs_of(
 
 
 RUNNING, DONE = "running", "done"
-_Wanted = Literal["running", "done"]
+_Wanted = Literal["running", "done", "waived"]
 
 
 def _wanted(value: Any) -> Any:
@@ -227,7 +227,8 @@ def _show_wanted(value: Mapping[str, str] | None) -> Any:
     return value["*"] if value is not None and list(value) == ["*"] else value
 
 
-# running: it does not end by itself. done: it ends by itself before the run does, with status 0.
+# running: it does not end by itself. done: it ends by itself before the run does, with status 0. Programs of vehicles
+# may do both, but not fail; waived: they may.
 ProgramsCheck = Annotated[dict[str, _Wanted], BeforeValidator(_wanted), PlainSerializer(_show_wanted)]
 
 

@@ -212,7 +212,7 @@ class _OtherAgent:
             nav = Nav(life, tick, measured[:5], measured[5:10], measured[10:], shown_ns, known)
             if tick % self._scenario.round_ticks == 0:
                 self._core.transmit(nav)
-            tau, _ = self._core.decide(nav, due)
+            tau = self._core.decide(nav, due).tau
         except (AgentError, PluginError) as error:
             raise FleetError(str(error), status=3) from None
         tick_s = self._scenario.tick_ns / 1e9

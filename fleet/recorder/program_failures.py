@@ -1,0 +1,37 @@
+"""The agents whose program failed, as they said it themselves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from netem.wire.messages import ERR, FAILED, Frame
+
+MOST_KEPT = 100
+
+
+class ProgramFailure(NamedTuple):
+    vehicle: int
+    at_ns: int
+    text: str  # how it ended
+    last: str  # what it had printed last on its standard error; empty: nothing
+
+
+class ProgramFailures:
+    """Collects them from frames."""
+
+    def __init__(self) -> None:
+        self.first: list[ProgramFailure] = []  # in order, MOST_KEPT of them
+        self.count = 0
+        self._printed: dict[int, str] = {}  # by vehicle, the last line on its standard error
+
+    def frame(self, frame: Frame) -> None:
+        for life in frame.lives if self._printed else ():
+            if life.begins:
+                self._printed.pop(life.vehicle, None)  # another agent has printed that
+        for i, said in ((line.vehicle, line.said) for line in frame.said):
+            if said.stream == ERR and said.text.strip():
+                self._printed[i] = said.text
+            elif said.stream == FAILED:
+                self.count += 1
+                if len(self.first) < MOST_KEPT:
+                    self.first.append(ProgramFailure(i, said.at_ns, said.text, self._printed.get(i, "")))

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from netem.wire.messages import END, ERR, FAILED, LONGEST_SAID, MOST_SAID, OUT, Said
+from netem.wire.messages import END, ERR, FAILED, OUT, Said
 
 STREAMS = frozenset({OUT, ERR, END, FAILED})
 LAST = frozenset({END, FAILED})
+LONGEST = 1_000  # characters of a line
+MOST_LINES = 200  # with one command
 MOST_BYTES = 16_000  # of lines with one command, which has to fit into a message with all else that is in it
 MOST_WAITING = 2_000  # lines that wait for later commands
 _HEAD_BYTES = 24  # of a line, besides its text
@@ -27,8 +29,8 @@ def usable(said: object) -> bool:
 
 def shortened(text: str) -> str:
     """A text as a line may have it: not too long, and of characters that UTF-8 has."""
-    if len(text) > LONGEST_SAID:
-        text = text[: LONGEST_SAID - 1] + "…"
+    if len(text) > LONGEST:
+        text = text[: LONGEST - 1] + "…"
     return text.encode("utf-8", "replace").decode()
 
 
@@ -62,14 +64,14 @@ class Speech:
         waiting = self._waiting
         if not waiting:
             return ()
-        while self._over and (len(waiting) >= MOST_SAID or self._bytes > MOST_BYTES):
+        while self._over and (len(waiting) >= MOST_LINES or self._bytes > MOST_BYTES):
             self._drop()
         taken = []
         if self._left_out:
             taken.append(Said(waiting[0].at_ns, ERR, f"({self._left_out} lines are left out here: there are too many)"))
             self._left_out = 0
         room = MOST_BYTES
-        while waiting and len(taken) < MOST_SAID and (room := room - _size(waiting[0])) >= 0:
+        while waiting and len(taken) < MOST_LINES and (room := room - _size(waiting[0])) >= 0:
             taken.append(self._pop())
         return tuple(taken)
 

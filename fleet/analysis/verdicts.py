@@ -24,6 +24,8 @@ from fleet.scenario.schema.checks import (
 from netem.condition import Link
 from netem.link_selector import parse_selector, select
 
+PROGRAMS = "programs"
+
 
 def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Verdict]:
     """Judge every declared check, in the order of the schema. A run that is still going is judged as if it ended now.
@@ -305,7 +307,7 @@ def _programs(scenario: Scenario, journal: Journal) -> Verdict:
     found = printable("; ".join(each)) + (f" and {failures.count - 4} more" if failures.count > 4 else "")
     first = failures.first[0]
     moment = _moment(journal, scenario, first.at_ns / 1e9, first.vehicle)
-    verdict = Verdict("programs", False, "none fails", found, failures.count, 0, "programs", moment)
+    verdict = Verdict(PROGRAMS, False, "none fails", found, failures.count, 0, "programs", moment)
     return verdict.with_margin(-failures.count, "programs", first.at_ns / 1e9)
 
 

@@ -207,6 +207,7 @@ def pose_schema() -> Schema:
 LEVELS = {OUT: Log.INFO, ERR: Log.WARNING, END: Log.INFO, FAILED: Log.ERROR}
 
 
+@lru_cache(maxsize=1)
 def said_schema() -> Schema:
     """Foxglove's log message, which viewers show as a list of lines. Its `file` is the stream."""
     units = {
@@ -220,7 +221,13 @@ def said_schema() -> Schema:
 
 def said_data(who: str, said: Said) -> bytes:
     """A line as a message of `said_schema`."""
-    log = Log(timestamp=stamp_of(said.at_ns), level=LEVELS[said.stream], message=said.text, name=who, file=said.stream)
+    log = Log(
+        timestamp=stamp_of(said.at_ns),
+        level=LEVELS.get(said.stream, Log.INFO),
+        message=said.text,
+        name=who,
+        file=said.stream,
+    )
     return log.SerializeToString()
 
 

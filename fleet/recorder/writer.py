@@ -21,7 +21,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from msgspec.structs import astuple
 
 from agents.config import AgentConfig
-from agents.controllers import law_class, laws, speaks
+from agents.controllers import law_class, laws
 from fleet.logs.batch import Batch
 from fleet.logs.schemas import (
     BELIEF,
@@ -134,9 +134,7 @@ class LogWriter:
         fix = flat_schema("Fix", FIX) if navigating else None
         self._fix = None if fix is None else fix.message
         self._fixes = {} if fix is None else {i: self._channel(f"uuv/{i}/fix", fix) for i in navigating}
-        speaking = [i for i, one in enumerate(scenario.controls, 1) if one.external or speaks(one)]
-        said = said_schema() if speaking else None
-        self._said = {} if said is None else {i: self._channel(said_topic(i), said) for i in speaking}
+        self._said = {i: self._channel(said_topic(i), said_schema()) for i in scenario.speaking}
         self._scene = Scene(scenario, links)
         self._drawn = self._drawings()
         fault = flat_schema("Fault", FAULT)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agents.config import AgentConfig, Law, Neighbour
-from agents.controllers import BUILT_IN, laws, layout
+from agents.controllers import BUILT_IN, laws, layout, speaks
 from agents.offset import Offset, OffsetChange
 from agents.plugins.laws import with_whole_path
 from agents.signals import SignalLayout
@@ -95,6 +95,11 @@ class Scenario:
             self.spec, self.reference, self.plans, self.graph, self.initial, self.conditions, self.changing,
             self.selectors, self.controls, self.faults, self.acoustic, self.clocks,
         )  # fmt: skip
+
+    @cached_property
+    def speaking(self) -> tuple[int, ...]:
+        """The vehicles whose agents may have lines for the log."""
+        return tuple(i for i, its in enumerate(self.controls, 1) if its.external or speaks(its))
 
     @property
     def ends(self) -> bool:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from netem.cause import Cause
 from netem.fault_kinds import WorldFaultKind
@@ -133,20 +133,14 @@ class Tumble(WireRecord, frozen=True):
 
 
 OUT, ERR, END, FAILED = "out", "err", "end", "failed"  # streams of what is said: printed twice, and how it ended
-MOST_SAID = 200  # lines with one command
-LONGEST_SAID = 1000  # characters of a line
 
 
 class Said(WireRecord, frozen=True):
     """A line that an agent said: what its program printed, or how that ended."""
 
-    at_ns: Annotated[Uint, Meta(le=2**63 - 1), about("when, from the beginning of the run", "ns")]
-    stream: Annotated[
-        str,
-        Meta(pattern=f"^({OUT}|{ERR}|{END}|{FAILED})$"),
-        about("out, err; end, or failed: how its program ended, which is then no more"),
-    ]
-    text: Annotated[str, Meta(max_length=LONGEST_SAID), about("without its line break")]
+    at_ns: Annotated[Uint, about("when, from the beginning of the run", "ns")]
+    stream: Annotated[Text, about("out, err; end, or failed: how its program ended, which is then no more")]
+    text: Annotated[Text, about("without its line break")]
 
 
 class SaidBy(WireRecord, frozen=True):
@@ -253,9 +247,7 @@ class Command(WireRecord, frozen=True, tag="cmd"):
     telemetry: Annotated[
         tuple[float, ...], about("controller signals in their declared order, or none at all; need not be finite")
     ]
-    said: Annotated[
-        tuple[Said, ...], Meta(max_length=MOST_SAID), about("what it has to say, in order; **left out** without any")
-    ] = ()
+    said: Annotated[tuple[Said, ...], about("lines for the log, in order; **left out** without any")] = ()
 
 
 class Transmission(WireRecord, frozen=True, tag="tx"):

@@ -22,6 +22,7 @@ from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.measures import MEASURES, Samples
 from fleet.addons.studies.modules import NO_MODULES, Modules, folder_of
 from fleet.addons.studies.row import FAILED, PREFIX, CheckRow, Row
+from fleet.analysis.verdicts import PROGRAMS
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
@@ -116,19 +117,30 @@ def _made(task: Task) -> Row:
             return _of_futures(task, run_branches(scenario, task.branches, check))
         if task.healed:
             return _of_futures(task, healed_runs(task, scenario))
-        in_time = check if isfinite(task.timeout_s) else None
-        if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
-            return _by_verdicts(task, verdicts)
-        if scenario.spec.triggers:
-            scenario = fired_of(task)
-        samples = Samples(scenario, task.signals)
-        if task.log:
-            return measured_row(recorded(scenario, Path(task.log), check, samples), samples)
-        # The digest of a run that fails is that of its repetition: to make it here would make each failure twice.
-        result = judged(scenario, in_time, samples, log=NoDigest() if task.bare else None)
-        return measured_row(result, samples)
+        return _of_all_checks(_whole(task, scenario, check), scenario)
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         return failed_row(task, error)
+
+
+def _whole(task: Task, scenario: Scenario, check: Callable[[float], None]) -> Row:
+    in_time = check if isfinite(task.timeout_s) else None
+    if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
+        return _by_verdicts(task, verdicts)
+    if scenario.spec.triggers:
+        scenario = fired_of(task)
+    samples = Samples(scenario, task.signals)
+    if task.log:
+        return measured_row(recorded(scenario, Path(task.log), check, samples), samples)
+    # The digest of a run that fails is that of its repetition: to make it here would make each failure twice.
+    result = judged(scenario, in_time, samples, log=NoDigest() if task.bare else None)
+    return measured_row(result, samples)
+
+
+def _of_all_checks(row: Row, scenario: Scenario) -> Row:
+    """The same with the check of programs: a run shows it when one has failed, and otherwise passes it."""
+    if row.judged and scenario.speaking and scenario.spec.checks.programs is None:
+        row.checks.setdefault(PROGRAMS, CheckRow(True, 0.0, 0.0))
+    return row
 
 
 def healed_runs(task: Task, scenario: Scenario) -> list[Row]:

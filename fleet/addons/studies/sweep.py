@@ -163,6 +163,7 @@ def _modules(scenarios: Sequence[Scenario], folder: Path | None) -> Modules:
 def check_names(scenarios: Sequence[Scenario]) -> list[str]:
     """The names of the checks that any of the scenarios has, including those that are always judged."""
     always = ["programs"] if scenarios[0].nodes else ["tumbled", "deaths", "qp_infeasible"]
+    always += ["programs"] * any(scenario.speaking for scenario in scenarios)
     declared = [
         name
         for scenario in scenarios

@@ -22,6 +22,7 @@ from fleet.addons.studies.explanation.evidence import (
     evidence,
     first_older,
 )
+from fleet.addons.studies.explanation.last_words import SAID, SaidThen, said_before
 from fleet.addons.studies.explanation.no_return import HealingSearch, NoReturn, Rerun, remake
 from fleet.addons.studies.modules import Modules, modules_of
 from fleet.addons.studies.sweep import check_names
@@ -64,6 +65,7 @@ class Why(Struct, frozen=True):
     lost: Annotated[dict[str, int], Meta(description="By cause, how many of these had not arrived.")]
     gaps: Annotated[list[Gap], Meta(description="The most important first.")]
     vehicles: list[VehicleThen]
+    said: Annotated[list[SaidThen], Meta(description="What agents had said last, in the order of time.")]
     nodes: Annotated[list[str], Meta(description="Of `fleet netem`; else none.")]
     no_return: NoReturn
     notes: list[str]
@@ -163,7 +165,9 @@ class Explanation:
 
     def _explained(self, found: NoReturn) -> Why:
         log = open_log(
-            self.path, TOPICS, share=lambda share: self._on_progress(f"reading the log, {100 * share:.0f} %", 0)
+            self.path,
+            [*TOPICS, SAID],
+            share=lambda share: self._on_progress(f"reading the log, {100 * share:.0f} %", 0),
         )
         begin, failed_s, failing = self._when(log)
         at_s = min(failed_s, log.end)
@@ -173,8 +177,8 @@ class Explanation:
         return Why(
             self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others,
             self._differs, next((one.passed for one in self._before if one.check == verdict.check), None), begin,
-            failed_s, at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, list(self.scenario.nodes),
-            found, self._notes,
+            failed_s, at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, said_before(log, at_s),
+            list(self.scenario.nodes), found, self._notes,
         )  # fmt: skip
 
     def _when(self, log: Log) -> tuple[float, float, list[int]]:
@@ -273,7 +277,7 @@ _MOST_FAULTS, _MOST_GAPS, _MOST_VEHICLES, _MOST_LINKS, _MOST_HEARD, _MOST_DIFFER
 
 
 def lines(why: Why) -> list[str]:
-    return [*_verdict(why), "", *_changes(why), *_faults(why), "", *_messages(why), "", *_vehicles(why), "",
+    return [*_verdict(why), "", *_changes(why), *_faults(why), "", *_messages(why), "", *_vehicles(why), "", *_said(why),
             "the point of no return", f"  {why.no_return.words}", *_after(why)]  # fmt: skip
 
 
@@ -372,6 +376,13 @@ def _vehicle(then: VehicleThen, why: Why) -> Iterator[str]:
     if then.heard:
         worst = sorted(then.heard, key=lambda one: (one.age_s is not None, -(one.age_s or 0.0)))
         yield f"    {_some([_heard(one, why) for one in worst], _MOST_HEARD, '; ')}"
+
+
+def _said(why: Why) -> Iterator[str]:
+    if why.said:
+        yield f"what the programs had said last by {why.at_s:g} s"
+        yield from (f"  {line.words}" for line in why.said)
+        yield ""
 
 
 def _heard(heard: Heard, why: Why) -> str:

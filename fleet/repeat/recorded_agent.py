@@ -14,11 +14,14 @@ from math import inf, nan
 from struct import error as struct_error
 from typing import Any
 
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
+
 from agents.loop import AgentLoop
 from agents.sample import Decision
 from agents.signals import SignalLayout
 from fleet.errors import FleetError
-from fleet.logs.decoder import Decoder
+from fleet.logs.decoder import Decoder, decoded
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import (
     COMMAND,
@@ -27,12 +30,12 @@ from fleet.logs.schemas import (
     MessageField,
     signal_columns,
 )
-from fleet.logs.topic_names import link_of
+from fleet.logs.topic_names import link_of, said_topic
 from fleet.scenario.scenario import Scenario
 from netem.condition import Link
 from netem.impairment import LinkModel
 from netem.links import PERFECT
-from netem.wire.messages import Delivery, Nav
+from netem.wire.messages import Delivery, Nav, Said
 from world.vectors import ZERO, Vec3
 
 
@@ -51,6 +54,7 @@ class RecordedAgent:
     commands: dict[int, Vec3] = field(default_factory=dict)
     telemetry: dict[int, list[float]] = field(default_factory=dict)
     payloads: dict[int, list[bytes]] = field(default_factory=dict)
+    said: dict[int, list[Said]] = field(default_factory=dict)
     known: float = inf  # what it sent after this tick may be missing
 
     def loop(self, incarnation: int, begin: int) -> AgentLoop:
@@ -73,7 +77,7 @@ class _RecordedCore:
             if tick < agent.last:
                 raise NotRecordedError(f"the log holds no command of vehicle {agent.vehicle} at tick {tick}")
             tau = ZERO  # the log ends within this tick, so nothing that follows is compared
-        return Decision(tau, tuple(agent.telemetry.get(tick, ())))
+        return Decision(tau, tuple(agent.telemetry.get(tick, ())), tuple(agent.said.get(tick, ())))
 
     def take_notes(self) -> list[tuple[int, str]]:
         return []
@@ -95,7 +99,7 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
     for record in reader:
         try:
             reading.take(record)
-        except (struct_error, ValueError):
+        except (struct_error, ValueError, DecodeError):
             tick = record.log_ns // scenario.tick_ns
             raise NotRecordedError(f"a message of {record.topic} at tick {tick} is damaged") from None
     for i, agent in reading.agents.items():
@@ -109,6 +113,7 @@ class _Reading:
         self.agents = {i: RecordedAgent(i, scenario.layout(i), m, last_ns // self._tick_ns) for i in scenario.external}
         self.packets: dict[int, dict[int, tuple[int, bytes]]] = {i: {} for i in self.agents}  # by vehicle and seq
         self._sure: set[tuple[int, int]] = set()  # payloads of which an undamaged copy was seen
+        self._talking = {said_topic(i): agent for i, agent in self.agents.items()}
         self._decode, self._command = Decoder(reader).ours, Doubles(COMMAND)
         self._groups = {
             (i, group): (Doubles(signal_columns(getattr(agent.layout, group))), agent.layout.group(group))
@@ -123,6 +128,10 @@ class _Reading:
         if head == "uuv":
             number, _, group = rest.partition("/")
             self._sample(int(number), group, tick, record.data)
+        elif (agent := self._talking.get(record.topic)) is not None:
+            # Commands are recorded at every tick, so there are frames at every tick: the line came with that command.
+            line = decoded(Log, record.data)
+            agent.said.setdefault(tick, []).append(Said(record.publish_ns, line.file, line.message))
         elif (
             (link := link_of(record.topic)) is not None
             and link[0] in self.agents

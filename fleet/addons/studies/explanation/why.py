@@ -277,8 +277,8 @@ _MOST_FAULTS, _MOST_GAPS, _MOST_VEHICLES, _MOST_LINKS, _MOST_HEARD, _MOST_DIFFER
 
 
 def lines(why: Why) -> list[str]:
-    return [*_verdict(why), "", *_changes(why), *_faults(why), "", *_messages(why), "", *_vehicles(why), "", *_said(why),
-            "the point of no return", f"  {why.no_return.words}", *_after(why)]  # fmt: skip
+    return [*_verdict(why), "", *_changes(why), *_faults(why), "", *_messages(why), "", *_vehicles(why), "",
+            *_said(why), "the point of no return", f"  {why.no_return.words}", *_after(why)]  # fmt: skip
 
 
 def _verdict(why: Why) -> Iterator[str]:

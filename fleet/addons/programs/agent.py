@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 import sys
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -31,6 +32,9 @@ from fleet.addons.programs import standard
 from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, select_module, socket_module
 from fleet.addons.programs.event_loop import asyncio_module, loop_aside
 from fleet.addons.programs.import_space import ImportSpace
+from fleet.addons.programs.library import NoLibraryError, compiled
+from fleet.addons.programs.line_signal import NOTHING_YET, LineSignal
+from fleet.addons.programs.process_agent import ProcessAgent
 from fleet.addons.programs.ros_packages import interface
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
@@ -45,48 +49,59 @@ from world.plugins.output import line_writer
 ZENOH, DATAGRAM, ROS = "zenoh", "udp", "ros"  # kinds of payloads
 BUDGET_S = 10.0  # of computing in one turn, unless the scenario has a budget of its own
 TOKENS_NS = 500_000_000  # how often tokens are told again
-NOTHING_YET = -1.0  # a signal before the program has printed a line of it
-_PARAMETERS = ("arguments", "signals", "addresses", "order", "cost", "shared")
+_PARAMETERS = ("arguments", "signals", "addresses", "order", "cost", "shared")  # of a program on stand-ins
+_OF_PROCESSES = ("process", "interpreter", "arguments", "signals", "addresses", "env", "files")
 
 
 class ProgramFailed(FleetError):
     """A program raised something, or ended with a status."""
 
 
-@dataclass(frozen=True, slots=True)
-class LineSignal:
-    """A signal that the lines of a program tell."""
-
-    name: str
-    pattern: re.Pattern[str]
-
-    def read(self, line: str) -> float | None:
-        """The value in a line; None: the line is another one."""
-        found = self.pattern.search(line)
-        try:
-            return None if found is None else float(found["value"])
-        except ValueError:
-            return None
-
-
-def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProgramAgent]:
+def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProgramAgent] | type[ProcessAgent]:
     """The agent that a program makes with some parameters. Nothing of it runs yet.
 
     Args:
-        path: the program, a file of Python.
-        parameters: `arguments`, `signals`, `addresses`, `order`, `cost` and `shared`, as the guide says.
+        path: the program: a file of Python, or anything that can be executed.
+        parameters: those of the guide. With `process: yes`, and of what is no file of Python, it is a real process in
+            simulated time; else Python on stand-ins.
 
     Raises:
         PluginError: there is no such parameter, or one has no meaning.
     """
-    if unknown := sorted(parameters.keys() - {*_PARAMETERS}):
-        raise _wrong(path, f"there is no key {unknown[0]!r}", f"known: {', '.join(_PARAMETERS)}")
+    real = path.suffix != ".py" or bool(parameters.keys() & {"process", "interpreter"})
+    known = _OF_PROCESSES if real else _PARAMETERS
+    if unknown := sorted(parameters.keys() - {*known}):
+        raise _wrong(path, f"there is no key {unknown[0]!r}", f"known: {', '.join(known)}")
     lines = tuple(_line_signal(path, name, about) for name, about in dict(parameters.get("signals") or {}).items())
+    if real:
+        return _process_class(path, parameters, lines)
     if parameters.get("order", "ready") not in ("ready", "seeded"):
         raise _wrong(path, f"order: expected ready or seeded, got {parameters['order']!r}")
 
     class Program(ProgramAgent):
         plugin_file = path
+        reads = lines
+        signals = tuple(Signal(each.name, "1", "as the program printed it last; -1 before") for each in lines)
+
+    return Program
+
+
+def _process_class(
+    path: Path, parameters: Mapping[str, Any], lines: tuple[LineSignal, ...]
+) -> type[ProcessAgent]:
+    interpreter = parameters.get("interpreter") or (sys.executable if path.suffix == ".py" else "")
+    if interpreter and (found := shutil.which(interpreter)) is None:
+        raise _wrong(path, f"interpreter: there is no command {interpreter!r}", "give its path, or install it")
+    if not interpreter and not os.access(path, os.X_OK):
+        raise _wrong(path, "it cannot be executed", "chmod +x, or say by which interpreter, such as `interpreter: node`")
+    try:
+        compiled()
+    except NoLibraryError as error:
+        raise _wrong(path, str(error)) from None
+
+    class Program(ProcessAgent):
+        plugin_file = path
+        command = (found, str(path)) if interpreter else (str(path),)
         reads = lines
         signals = tuple(Signal(each.name, "1", "as the program printed it last; -1 before") for each in lines)
 

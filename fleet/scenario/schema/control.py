@@ -97,11 +97,16 @@ class AgentSection(Section):
             return value
         own = {key: each for key, each in value.items() if key in cls.model_fields}
         more = {key: each for key, each in value.items() if key not in {*own, "program"}}
+        program = value["program"]
+        if isinstance(program, list) and len(program) == 2:  # `[node, x.js]`
+            more, program = {"interpreter": program[0]} | more, program[1]
+        if not isinstance(program, str):
+            raise mistake(f"agent.program is {program!r}", hint="give a file, or [INTERPRETER, FILE]")
         given = own.get("parameters") or {}
         if twice := sorted(given.keys() & more.keys()):
             raise mistake(f"agent.{twice[0]} and agent.parameters.{twice[0]} are the same", hint="give one of them")
         parameters = given | more
-        return own | {"law": f"program:{value['program']}"} | ({"parameters": parameters} if parameters else {})
+        return own | {"law": f"program:{program}"} | ({"parameters": parameters} if parameters else {})
 
 
 def _show_agent(section: AgentSection | None) -> Any:

@@ -1,0 +1,86 @@
+"""The library that is preloaded into programs, and what starts them: compiled from C, in the wheel or when first used."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from fleet.errors import FleetError
+
+SOURCES = Path(__file__).parent / "preload"
+LIBRARY, LAUNCHER = "libfleet_preload.so", "fleet_launch"
+_FLAGS = ("-O2", "-std=gnu11", "-fno-strict-aliasing")
+_LIBRARY_FLAGS = (*_FLAGS, "-shared", "-fPIC", "-fvisibility=default")
+
+
+class NoLibraryError(FleetError):
+    """Programs cannot run in simulated time on this machine."""
+
+
+@cache
+def compiled() -> tuple[Path, Path]:
+    """The library and the launcher.
+
+    Returns:
+        Their files: those of the wheel; else compiled into the user's cache, once for each version of the sources.
+
+    Raises:
+        NoLibraryError: it is no Linux on x86-64, or there is no compiler.
+    """
+    if platform.system() != "Linux" or platform.machine() != "x86_64":
+        raise NoLibraryError(
+            f"programs in simulated time need Linux on x86-64; this is {platform.system()} on {platform.machine()}. "
+            "On the wall clock they run anywhere: fleet netem"
+        )
+    if (SOURCES / LIBRARY).is_file() and (SOURCES / LAUNCHER).is_file():
+        return SOURCES / LIBRARY, SOURCES / LAUNCHER
+    folder = _cache() / _mark()
+    if not (folder / LIBRARY).is_file():
+        _compile_into(folder)
+    return folder / LIBRARY, folder / LAUNCHER
+
+
+def compile_preload(folder: Path) -> None:
+    """Compile both into a folder. Raises CalledProcessError and OSError: the compiler fails, or there is none."""
+    cc = os.environ.get("CC", "cc").split()
+    library = map(str, sorted(SOURCES.glob("*.c")))
+    run = dict(check=True, capture_output=True, text=True)
+    subprocess.run([*cc, *_LIBRARY_FLAGS, "-o", str(folder / LIBRARY), *library], **run)  # type: ignore[call-overload]
+    launcher = [str(SOURCES / "launcher" / "launch.c")]
+    subprocess.run([*cc, *_FLAGS, "-o", str(folder / LAUNCHER), *launcher], **run)  # type: ignore[call-overload]
+
+
+def _compile_into(folder: Path) -> None:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=".compiling-", dir=folder.parent))
+    try:
+        compile_preload(temporary)
+        try:
+            temporary.rename(folder)  # whole or not at all: several processes may compile at the same time
+        except OSError:
+            shutil.rmtree(temporary, ignore_errors=True)
+    except FileNotFoundError as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise NoLibraryError(
+            f"programs in simulated time need a C compiler, and there is no {error.filename}: install gcc, or set CC"
+        ) from None
+    except subprocess.CalledProcessError as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise NoLibraryError(f"the library for programs does not compile: {error.stderr:.500}") from None
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "uuv-fleet" / "preload"
+
+
+def _mark() -> str:
+    whole = hashlib.sha256("".join(_LIBRARY_FLAGS).encode())
+    for path in sorted([*SOURCES.glob("*.[ch]"), *SOURCES.glob("launcher/*.c")]):
+        whole.update(path.read_bytes())
+    return whole.hexdigest()[:20]

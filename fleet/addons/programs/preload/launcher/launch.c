@@ -1,0 +1,58 @@
+/* Starts a program in simulated time: launch CHANNEL OUT ERR HOME LIBRARY MEMORY_MB -- COMMAND ...
+
+   What must hold before the program's first instruction is set here, in a process of its own: between fork and exec of
+   Python, other threads may hold locks. */
+#define _GNU_SOURCE
+#include <errno.h>
+#include <fcntl.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/personality.h>
+#include <sys/prctl.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+enum { CHANNEL = 4095 };
+
+static void fail(const char *what) {
+  dprintf(2, "uuv-fleet: %s: %s\n", what, strerror(errno));
+  _exit(96);
+}
+
+static void set_limit(int which, rlim_t to) {
+  struct rlimit limit;
+  getrlimit(which, &limit);
+  if (limit.rlim_max != RLIM_INFINITY && limit.rlim_max < to) to = limit.rlim_max;
+  limit.rlim_cur = to;
+  setrlimit(which, &limit);
+}
+
+int main(int n, char **a) {
+  if (n < 9) return 96;
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  setpgid(0, 0);
+  signal(SIGPIPE, SIG_DFL); /* Python ignores it, and a program inherits that */
+  sigset_t none;
+  sigemptyset(&none);
+  sigprocmask(SIG_SETMASK, &none, 0);
+  personality(ADDR_NO_RANDOMIZE); /* where it is forbidden, addresses differ from run to run */
+  set_limit(RLIMIT_NOFILE, CHANNEL + 1);
+  set_limit(RLIMIT_STACK, 8 << 20); /* where memory begins depends on it */
+  set_limit(RLIMIT_CORE, 0);
+  if (atol(a[6])) set_limit(RLIMIT_AS, (rlim_t)atol(a[6]) << 20);
+  if (dup2(atoi(a[1]), CHANNEL) < 0) fail("4096 open files are needed, see ulimit -n");
+  int null = open(strcmp(a[2], "-") ? "/dev/null" : "/dev/tty", O_RDWR);
+  if (strcmp(a[2], "-")) {
+    dup2(null, 0);
+    dup2(atoi(a[2]), 1);
+    dup2(atoi(a[3]), 2);
+  }
+  for (int fd = 3; fd < 1024; fd++) close(fd);
+  if (chdir(a[4])) fail(a[4]);
+  setenv("LD_PRELOAD", a[5], 1);
+  setenv("FLEET_PROGRAM", "4095", 1);
+  execvp(a[8], a + 8);
+  fail(a[8]);
+}

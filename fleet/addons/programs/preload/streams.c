@@ -1,0 +1,294 @@
+/* Streams (TCP): what a program sees of a connection. Its segments, their loss and their repetition are the controller's.
+
+   The program has one end of a pair of stream sockets; the library writes into the other end what arrives, and keeps what
+   does not fit. What a program sends goes to the controller at once, which says later how much has been acknowledged. */
+#include "preload.h"
+#include <fcntl.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/mman.h>
+
+enum { MOST_UNSENT = 1 << 18, PART = 1 << 15 };
+static u64 connections;
+struct call { u64 connection; struct address from, to; } __attribute__((packed));
+struct queued { struct call call; u16 sock; } __attribute__((packed)); /* a call that nobody has taken yet */
+
+/* Memory of our own: malloc may be what was interrupted. */
+static u8 *more_room(u8 *old, size_t had, size_t wanted) {
+  long at = old ? SYS(SYS_mremap, old, had, wanted, MREMAP_MAYMOVE)
+                : SYS(SYS_mmap, 0, wanted, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  if (at < 0) give_up("no memory is left for what arrives on a stream");
+  return (u8 *)at;
+}
+
+static void free_room(struct sock *s) {
+  if (s->waiting) SYS(SYS_munmap, s->waiting, s->room);
+  s->waiting = 0, s->room = s->n_waiting = 0;
+}
+
+/* While a socket must not look writable, the program's end is full of bytes that nobody reads. */
+static void congest(int fd, struct sock *s) {
+  static u8 junk[65536];
+  if (s->congested) return;
+  s->congested = 1;
+  while (SYS(SYS_sendto, fd, junk, sizeof junk, MSG_DONTWAIT | MSG_NOSIGNAL, 0, 0) > 0) {}
+  while (SYS(SYS_sendto, fd, junk, 1, MSG_DONTWAIT | MSG_NOSIGNAL, 0, 0) > 0) {}
+}
+
+static void relieve(struct sock *s) {
+  static u8 junk[65536];
+  if (!s->congested) return;
+  s->congested = 0;
+  while (SYS(SYS_recvfrom, s->peer, junk, sizeof junk, MSG_DONTWAIT, 0, 0) > 0) {}
+}
+
+/* Writes into the pair what has come, as far as it fits. */
+static void pour(struct sock *s) {
+  size_t done = 0;
+  while (done < s->n_waiting) {
+    long r = SYS(SYS_sendto, s->peer, s->waiting + done, s->n_waiting - done, MSG_DONTWAIT | MSG_NOSIGNAL, 0, 0);
+    if (r <= 0) break;
+    done += r;
+  }
+  if (done) memmove(s->waiting, s->waiting + done, s->n_waiting -= done);
+  if (!s->n_waiting && s->got_end == 1) {
+    SYS(SYS_shutdown, s->peer, SHUT_WR);
+    s->got_end = 2;
+  }
+  if (!s->n_waiting) free_room(s);
+}
+
+void stream_received(struct sock *s) {
+  size_t had = s->n_waiting;
+  pour(s);
+  if (had && s->n_waiting != had && s->connection) { /* the sender may send more */
+    struct { u64 connection; u32 waiting; } __attribute__((packed)) head = {s->connection, (u32)s->n_waiting};
+    tell('V', &head, sizeof head, 0, 0);
+  }
+}
+
+static void end_sending(struct sock *s) {
+  if (s->sent_end || !s->connection) return;
+  s->sent_end = 1;
+  tell('F', &s->connection, 8, 0, 0);
+}
+
+void stream_close(struct sock *s) {
+  /* What was sent and not acknowledged is still sent by the controller. Unread bytes, or bytes that still come, are
+     answered by a reset, as in TCP. */
+  if (s->connection && !s->borrowed) {
+    u8 unread = s->n_waiting > 0;
+    struct { u64 connection; u8 unread; } __attribute__((packed)) head = {s->connection, unread};
+    tell('K', &head, sizeof head, 0, 0);
+  }
+  if (s->listening) { /* calls that nobody took */
+    for (struct sock *n = socks; n < socks + SOCKETS; n++)
+      if (n->used && n->type == SOCK_STREAM && n->listener == s - socks + 1) {
+        SYS(SYS_close, n->own_end);
+        stream_close(n);
+      }
+  }
+  free_room(s);
+  SYS(SYS_close, s->peer);
+  s->used = 0;
+}
+
+long stream_listen(int fd, struct sock *s) {
+  if (s->connected || s->connecting) return -EINVAL;
+  if (s->listening) return 0;
+  /* Each call is a message: so the socket becomes the end of a pair that keeps messages apart. */
+  int pair[2];
+  long error = SYS(SYS_socketpair, AF_UNIX, SOCK_SEQPACKET, 0, pair);
+  if (error) return error;
+  long flags = SYS(SYS_fcntl, fd, F_GETFL), own = SYS(SYS_fcntl, fd, F_GETFD);
+  SYS(SYS_dup3, pair[0], fd, own & FD_CLOEXEC ? O_CLOEXEC : 0);
+  SYS(SYS_dup3, pair[1], s->peer, O_CLOEXEC);
+  SYS(SYS_close, pair[0]);
+  SYS(SYS_close, pair[1]);
+  SYS(SYS_fcntl, fd, F_SETFL, flags);
+  SYS(SYS_fcntl, s->peer, F_SETFL, O_NONBLOCK);
+  s->listening = 1;
+  return 0;
+}
+
+long stream_connect(int fd, struct sock *s) {
+  if (!connections) connections = now / 1000000 % (1 << 30); /* a life after a kill is to have other numbers */
+  s->connection = (u64)config.agent << 40 | (u64)(config.pid & 0xff) << 32 | ++connections << 1;
+  s->connecting = 1;
+  struct call call = {s->connection, s->own, s->to};
+  int v6 = !is_v4(s->to.ip);
+  if (is_loopback(s->to.ip)) memcpy(call.from.ip, s->to.ip, 16);
+  else own_address(call.from.ip, v6);
+  if (is_mine(s->to.ip)) memcpy(call.from.ip, s->to.ip, 16);
+  tell('A', &call, sizeof call, 0, 0);
+  congest(fd, s);
+  if (SYS(SYS_fcntl, fd, F_GETFL) & O_NONBLOCK) return -EINPROGRESS;
+  i64 deadline = s->send_timeout == NEVER ? NEVER : later(s->send_timeout);
+  while (s->connecting) {
+    int how = block_net(s, deadline);
+    if (how == TIMED_OUT && s->connecting) return -EINPROGRESS;
+    if (how == SIGNALLED && s->connecting) return -EINTR;
+  }
+  int error = s->error;
+  s->error = 0;
+  return -error;
+}
+
+long stream_accept(int fd, struct sock *s, struct sockaddr *to, socklen_t *size, int flags) {
+  if (!s->listening) return -EINVAL;
+  int error = wait_ready(fd, POLLIN, 0, s->receive_timeout);
+  if (error) return error;
+  struct queued queued;
+  long r = SYS(SYS_recvfrom, fd, &queued, sizeof queued, MSG_DONTWAIT, 0, 0);
+  if (r < 0) return r;
+  struct sock *n = &socks[queued.sock];
+  long made = SYS(SYS_fcntl, n->own_end, flags & SOCK_CLOEXEC ? F_DUPFD_CLOEXEC : F_DUPFD, 0);
+  if (made < 0) return made;
+  if (flags & SOCK_NONBLOCK) SYS(SYS_fcntl, made, F_SETFL, O_NONBLOCK);
+  SYS(SYS_close, n->own_end);
+  n->listener = 0, n->references = 1;
+  new_descriptor(made, STREAM);
+  descriptors[made].sock = n;
+  put_address(to, size, &n->to, n->v6);
+  return made;
+}
+
+/* A connection stands as soon as its call is in the queue of a socket that listens, before anybody takes it. */
+static int queue_call(struct sock *s, const struct call *call) {
+  struct sock *n = socks;
+  while (n < socks + SOCKETS && n->used) n++;
+  if (n == socks + SOCKETS) return 0;
+  memset(n, 0, sizeof *n);
+  int end = own_pair(SOCK_STREAM, SOCK_CLOEXEC, &n->peer);
+  if (end < 0) return 0;
+  n->own_end = SYS(SYS_fcntl, end, F_DUPFD_CLOEXEC, FIRST_OWN);
+  SYS(SYS_close, end);
+  n->used = 1, n->type = SOCK_STREAM, n->v6 = s->v6, n->listener = s - socks + 1;
+  n->bound = n->connected = 1, n->own = call->to, n->to = call->from, n->connection = call->connection;
+  n->receive_timeout = n->send_timeout = NEVER;
+  struct queued queued = {*call, n - socks};
+  if (SYS(SYS_sendto, s->peer, &queued, sizeof queued, MSG_DONTWAIT, 0, 0) > 0) return 1;
+  SYS(SYS_close, n->own_end);
+  SYS(SYS_close, n->peer);
+  n->used = 0;
+  return 0;
+}
+
+static struct sock *by_connection(u64 connection) {
+  for (struct sock *s = socks; s < socks + SOCKETS; s++)
+    if (s->used && !s->borrowed && s->type == SOCK_STREAM && s->connection == connection) return s;
+  return 0;
+}
+
+static int called(const struct call *call) {
+  for (struct sock *s = socks; s < socks + SOCKETS; s++)
+    if (s->used && !s->borrowed && s->listening && s->own.port == call->to.port &&
+        (is_v4(call->to.ip) ? !(s->v6 && s->v6_only) : s->v6)) {
+      static const u8 none[16];
+      int everywhere = !memcmp(s->own.ip, none, 16) || (is_v4(s->own.ip) && !memcmp(s->own.ip + 12, none, 4));
+      if (everywhere || !memcmp(s->own.ip, call->to.ip, 16)) return queue_call(s, call);
+    }
+  return 0;
+}
+
+void deliver_stream(struct message m) {
+  u64 connection;
+  memcpy(&connection, m.data, 8);
+  if (m.kind == 'A') {
+    struct call call;
+    memcpy(&call, m.data, sizeof call);
+    tell(called(&call) ? 'P' : 'X', &call.connection, 8, 0, 0); /* X: refused */
+    return;
+  }
+  struct sock *s = by_connection(connection);
+  if (!s) return;
+  switch (m.kind) {
+    case 'O': /* it stands */
+      s->connecting = 0, s->connected = 1;
+      relieve(s);
+      break;
+    case 'E': { /* it failed: refused, timed out, reset */
+      int error;
+      memcpy(&error, m.data + 8, 4);
+      relieve(s);
+      if (s->connecting || !s->closing) s->error = error;
+      s->connecting = 0, s->stopped = 1, s->got_end = 2;
+      s->connection = 0;
+      SYS(SYS_shutdown, s->peer, SHUT_RDWR);
+      break;
+    }
+    case 'R':
+      if (s->got_end) return;
+      if (s->n_waiting + m.size - 8 > s->room) {
+        size_t room = (s->n_waiting + m.size - 8 + 65535) & ~65535UL;
+        s->waiting = more_room(s->waiting, s->room, room);
+        s->room = room;
+      }
+      memcpy(s->waiting + s->n_waiting, m.data + 8, m.size - 8);
+      s->n_waiting += m.size - 8;
+      pour(s);
+      if (s->n_waiting) {
+        struct { u64 connection; u32 waiting; } __attribute__((packed)) head = {s->connection, (u32)s->n_waiting};
+        tell('V', &head, sizeof head, 0, 0);
+      }
+      break;
+    case 'Z':
+      if (!s->got_end) s->got_end = 1;
+      pour(s);
+      break;
+    case 'Q': { /* so many bytes were acknowledged */
+      u32 n;
+      memcpy(&n, m.data + 8, 4);
+      s->unsent -= n < s->unsent ? n : s->unsent;
+      if (s->unsent < MOST_UNSENT / 2) relieve(s);
+      break;
+    }
+  }
+  wake_all(s);
+}
+
+long stream_send(int fd, struct sock *s, const struct msghdr *message, int flags) {
+  if (s->error) {
+    int error = s->error;
+    s->error = 0;
+    return -error;
+  }
+  if (s->connecting) return -EAGAIN;
+  if (!s->connected || s->stopped) {
+    if (s->connected && !(flags & MSG_NOSIGNAL)) raise_signal(SIGPIPE, me);
+    return s->connected ? -EPIPE : -ENOTCONN;
+  }
+  int waits = !(flags & MSG_DONTWAIT || SYS(SYS_fcntl, fd, F_GETFL) & O_NONBLOCK);
+  size_t done = 0;
+  for (size_t k = 0; k < (size_t)message->msg_iovlen; k++)
+    for (size_t at = 0; at < message->msg_iov[k].iov_len;) {
+      while (s->unsent >= MOST_UNSENT) {
+        congest(fd, s);
+        if (!waits) {
+          spins();
+          return done ? (long)done : -EAGAIN;
+        }
+        if (block_net(s, NEVER) == SIGNALLED) return done ? (long)done : -EINTR;
+        if (s->stopped) return done ? (long)done : -EPIPE;
+      }
+      size_t n = message->msg_iov[k].iov_len - at;
+      if (n > PART) n = PART;
+      tell('W', &s->connection, 8, (u8 *)message->msg_iov[k].iov_base + at, n);
+      s->unsent += n, at += n, done += n;
+    }
+  return done;
+}
+
+long stream_shutdown(struct sock *s, int how) {
+  if (!s->connected) return -ENOTCONN;
+  if (how != SHUT_RD) {
+    end_sending(s);
+    s->stopped = 1;
+  }
+  if (how != SHUT_WR) {
+    s->got_end = 2;
+    SYS(SYS_shutdown, s->peer, SHUT_WR);
+  }
+  something();
+  return 0;
+}

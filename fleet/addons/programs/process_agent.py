@@ -1,0 +1,286 @@
+"""A program as an agent: real processes in simulated time, whose packets are payloads of the rounds."""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import sys
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from ipaddress import IPv6Address, ip_address
+from pathlib import Path
+from random import Random
+from typing import Any, ClassVar
+
+from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
+from fleet.addons.programs.line_signal import NOTHING_YET, LineSignal
+from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Segment, node_address, read
+from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
+from fleet.addons.programs.streams import Streams
+from world.plugins.output import line_writer
+
+NS = 10**9
+MOST_IN_ROUND = 40_000  # bytes; the transport carries 48 kB in a message
+MOST_QUEUED = 1 << 20  # bytes that wait for a round; what comes then is lost, as in a full network card
+_ADDRESSES = struct.Struct("<16sH16sH")
+_HOSTS = 254  # nodes that have a name, unless a neighbour has a larger number
+
+
+class ProcessAgent:
+    """One life of a program. When the agent is dropped, the program is killed."""
+
+    plugin_file: ClassVar[Path]
+    command: ClassVar[tuple[str, ...]]
+    reads: ClassVar[tuple[LineSignal, ...]]
+    signals: ClassVar[tuple[Signal, ...]]
+
+    def __init__(
+        self,
+        config: AgentConfig,
+        arguments: Sequence[Any] = (),
+        signals: Any = None,
+        addresses: Mapping[str, int] | None = None,
+        env: Mapping[str, Any] | None = None,
+        files: Sequence[str] = (),
+        **_: Any,
+    ) -> None:
+        """Prepare the program; it is started with the agent's first tick.
+
+        Args:
+            config: the agent's slice.
+            arguments: of the command line; `{id}` and `{seed}` stand for the agent's number and the run's seed.
+            signals: read by `process_class`.
+            addresses: agents by `HOST:PORT` or `HOST`.
+            env: variables of the environment.
+            files: files and folders that are copied into the program's home, beside the program.
+        """
+        self._config, self._tick_ns = config, config.tick_ns
+        words = {"id": config.id, "seed": config.seed}
+        self._words = [_filled(word, words) for word in (*self.command, *map(str, arguments))]
+        self._environment = {key: _filled(str(value), words) for key, value in (env or {}).items()}
+        folder = self.plugin_file.parent
+        self._files = [path if path.is_absolute() else folder / path for path in map(Path, files)]
+        self._book = _AddressBook(config, addresses or {})
+        self._formation = FormationAgent(config)
+        self._life: _Life | None = None
+        self._owner = os.getpid()
+        self._history: list[tuple[int, list[Delivery]]] = []
+        self.values = {each.name: NOTHING_YET for each in self.reads}
+        self._said: list[Said] = []
+        self._write_line = line_writer(f"agent-{config.id}.log")
+
+    def __del__(self) -> None:
+        life = getattr(self, "_life", None)
+        if life is not None and not sys.is_finalizing():
+            life.processes.close()
+
+    def transmit(self, nav: Nav) -> Sequence[bytes]:
+        """What the program has sent since the last round, as much as fits into one; and what the agent that steers sends."""
+        steering = list(self._formation.transmit(nav))
+        return [*steering, *(self._life.leaving(MOST_IN_ROUND - sum(map(len, steering))) if self._life else ())]
+
+    def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
+        """Hand over what has come, and let the program run until it waits."""
+        now_ns, deliveries = nav.tick * self._tick_ns, list(deliveries)
+        tau, _ = self._formation.decide(nav, deliveries)
+        packets = [each for each in deliveries if each.payload[:3] == b"\x81\x01p"]
+        if os.getpid() != self._owner:
+            self._repeat()
+        self._history.append((now_ns, packets))
+        self._step(now_ns, packets, tell=True)
+        return tau, self.values
+
+    def _repeat(self) -> None:
+        """This process is a copy by fork, and the program belongs to the first one: start it again, with all that came."""
+        self._owner, self._life = os.getpid(), None
+        for now_ns, packets in self._history:
+            self._step(now_ns, packets, tell=False)
+            if self._life is not None:
+                self._life.leaving(sys.maxsize)
+
+    def _step(self, now_ns: int, packets: list[Delivery], tell: bool) -> None:
+        if self._life is None:
+            self._life = _Life(self._config, self._words, self._environment, self._files, self._book, now_ns)
+        for at_ns, stream, text in self._life.step(now_ns, packets):
+            for each in self.reads if stream == "out" else ():
+                if (value := each.read(text)) is not None:
+                    self.values[each.name] = value
+            if tell:
+                self._said.append(Said(at_ns, stream, text if len(text) <= 1000 else text[:999] + "…"))
+                self._write_line(f"{at_ns / NS:.3f} {text}" if stream == "out" else f"{at_ns / NS:.3f} {stream}: {text}")
+
+    def take_said(self) -> Sequence[Said]:
+        """The lines that the program has printed since the last call, and how it ended."""
+        said, self._said = self._said, []
+        return said
+
+
+class _AddressBook:
+    """The agents behind addresses."""
+
+    def __init__(self, config: AgentConfig, given: Mapping[str, int]) -> None:
+        self.own, self._given = config.id, dict(given)
+        self.largest = max([_HOSTS, config.id, *(each.id for each in config.neighbours), *self._given.values()])
+
+    @property
+    def has_others(self) -> bool:
+        """Whether it names addresses outside of the nodes' network."""
+        return any(not key.startswith(("127.", "localhost", "10.0.")) for key in self._given)
+
+    def agent(self, ip: bytes, port: int) -> int | None:
+        """The agent at an address; `EVERYBODY`: all; None: nobody."""
+        v4 = ip[:12] == V4
+        if self._given:
+            text = str(ip_address(ip[12:]) if v4 else IPv6Address(ip))
+            for key in (f"{text}:{port}", text, f"localhost:{port}" if text.startswith("127.") else text):
+                if key in self._given:
+                    return self._given[key]
+        if v4:
+            a, b, c, d = ip[12:]
+            if a >> 4 == 14 or ip[12:] == b"\xff\xff\xff\xff" or (a == 10 and b == 0 and d == 255 and (c == 0 or c == 255)):
+                return EVERYBODY
+            if a == 127:
+                return self.own
+            return c << 8 | d if (a, b) == (10, 0) else None
+        if ip[0] == 255:
+            return EVERYBODY
+        if ip == bytes(15) + b"\x01":
+            return self.own
+        return ip[14] << 8 | ip[15] if ip[0] == 0xFD or ip[:2] == b"\xfe\x80" else None
+
+
+class _Life:
+    """A program from its start to its end."""
+
+    def __init__(
+        self,
+        config: AgentConfig,
+        command: Sequence[str],
+        environment: Mapping[str, str],
+        files: Sequence[Path],
+        book: _AddressBook,
+        now_ns: int,
+    ) -> None:
+        self._id, self._book = config.id, book
+        self._out: deque[bytes] = deque()
+        self._queued, self._dropped = 0, 0
+        self.over = False
+        self.streams = Streams(config.id, lambda segment: self._put(segment.packed()), self._to_processes)
+        self.processes = Processes(
+            command, environment, files, agent=config.id, agents=book.largest, tick_ns=config.tick_ns, now_ns=now_ns,
+            seed=Random(f"{config.seed}/{config.id}/{now_ns}").getrandbits(63), told=self._told, epoch_ns=EPOCH_NS,
+            other_addresses=book.has_others,
+        )  # fmt: skip
+
+    def step(self, now_ns: int, packets: Sequence[Delivery]) -> list[tuple[int, str, str]]:
+        """Let time pass: what has come, and what the program prints until it waits (time [ns], stream, line)."""
+        if self.over:
+            return []
+        processes, streams = self.processes, self.streams
+        said: list[tuple[int, str, str]] = []
+        try:
+            processes.advance(now_ns, before_last=lambda: said.extend(self._lines()))
+            streams.processes = processes.count
+            streams.tick(now_ns)
+            for delivery in packets:
+                self._hear(delivery)
+            processes.advance(now_ns)
+        except ProgramEnded as error:
+            said += self._lines()
+            return [*said, *self._end(str(error))]
+        said += self._lines()
+        if not processes.running:
+            return [*said, *self._end(self._why())]
+        if processes.is_dead and not streams.busy:
+            processes.show_threads()
+            said += self._lines()
+            return [*said, *self._end("deadlock: no thread can ever run, and nothing is on its way to one")]
+        return said
+
+    def _why(self) -> str:
+        """Why it is no good end; "": it is one."""
+        status = self.processes.status
+        if self.processes.refused:
+            return self.processes.refused
+        if not status:
+            return ""
+        return f"exit status {status}" if status > 0 else f"ended by signal {-status}"
+
+    def _end(self, problem: str) -> list[tuple[int, str, str]]:
+        self.over = True
+        now_ns = self.processes.now_ns
+        self.processes.close()
+        return [(now_ns, "failed", problem)] if problem else [(now_ns, "end", "exit status 0")]
+
+    def _lines(self) -> list[tuple[int, str, str]]:
+        return [(self.processes.now_ns, stream, line) for stream, line in self.processes.lines()]
+
+    def leaving(self, most: int) -> list[bytes]:
+        """The packets that go with this round, at most so many bytes together; the others wait."""
+        taken: list[bytes] = []
+        while self._out and len(self._out[0]) <= most:
+            taken.append(self._out.popleft())
+            most -= len(taken[-1])
+            self._queued -= len(taken[-1])
+        if not taken and self._out and len(self._out[0]) > MOST_IN_ROUND:
+            self._queued -= len(self._out.popleft())  # larger than any round: it can never leave
+            self._dropped += 1
+        return taken
+
+    def _put(self, payload: bytes) -> None:
+        if self._queued + len(payload) > MOST_QUEUED:
+            self._dropped += 1
+            return
+        self._out.append(payload)
+        self._queued += len(payload)
+
+    def _to_processes(self, kind: int, data: bytes) -> None:
+        self.processes.send(kind, data)
+
+    def _told(self, process: Process, kind: int, data: bytes) -> None:
+        if kind == 83:  # S: a datagram
+            self._send(process, data)
+        elif kind != 76:  # L: one was lost, because its socket was full
+            self.streams.processes = self.processes.count
+            self.streams.told(kind, data, self._book.agent)
+
+    def _send(self, process: Process, data: bytes) -> None:
+        from_ip, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)
+        agent = self._book.agent(to_ip, to_port)
+        here = is_own(to_ip, self._id)
+        if here:
+            elsewhere = agent not in (None, self._id)
+            self.processes.answer(process, b"U" + bytes((elsewhere or self.processes.count > 1,)))
+        if agent in (self._id, EVERYBODY):
+            self.processes.send(68, data, but=process.pid)
+        if agent is not None and agent != self._id:
+            to = to_ip if agent == EVERYBODY else node_address(agent, to_ip[:12] != V4)
+            self._put(Datagram(agent, from_port, to_port, to, data[_ADDRESSES.size :]).packed())
+
+    def _hear(self, delivery: Delivery) -> None:
+        packet = read(delivery.payload)
+        if packet is None or packet.agent not in (EVERYBODY, self._id):
+            return
+        if isinstance(packet, Segment):
+            self.streams.hear(delivery.src, packet)
+            return
+        v6 = packet.to_ip[:12] != V4
+        head = _ADDRESSES.pack(node_address(delivery.src, v6), packet.from_port, packet.to_ip, packet.to_port)
+        self.processes.send(68, head + packet.data)
+
+
+def is_own(ip: bytes, agent: int) -> bool:
+    """Whether the library of a program takes an address for its own, and asks whether somebody hears there."""
+    if ip[:12] == V4:
+        return ip[12] == 127 or ip == node_address(agent, False)
+    linked = ip[:2] == b"\xfe\x80" and ip[14:] == agent.to_bytes(2, "big")
+    return ip == bytes(15) + b"\x01" or ip == node_address(agent, True) or linked
+
+
+_PLACE = re.compile(r"\{(id|seed)\}")
+
+
+def _filled(word: str, values: Mapping[str, Any]) -> str:
+    """A word with its places filled in. Other braces stay: a program may be given JSON."""
+    return _PLACE.sub(lambda found: str(values[found[1]]), word)

@@ -1,0 +1,474 @@
+"""The processes of one program, in simulated time: they are granted moments, one process at a time.
+
+The library that is preloaded into each (`preload`) tells over a channel what it sends, and until when it waits.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+
+from fleet.addons.programs.library import compiled
+from fleet.errors import FleetError
+
+NEVER = 2**63 - 1
+EPOCH_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00 UTC
+MOST_PROCESSES = 256  # of one program at a time
+MEMORY_MB = 0  # of address space; 0: any, since some run times reserve terabytes and use little
+CPU_S = 10.0  # of computing in one turn
+STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
+MOST_TURNS = 20_000  # of one moment: processes that wake each other without an end
+MOST_LINE = 1 << 16  # characters of a line without a break
+_DID_SOMETHING, _ONLY_INSIDE = 1, 2
+_CONFIGURATION = struct.Struct("<qqqQIIIIII")
+_HEAD = struct.Struct("<IB")
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+class ProgramEnded(FleetError):
+    """A program has ended, in a way that is no good end."""
+
+
+@dataclass
+class Process:
+    """One process, and its end of the channel."""
+
+    pid: int  # the number that the program knows
+    channel: socket.socket
+    parent: int = 0
+    deadline: int = 0
+    inside: bool = False  # it waits for nothing that could come from outside
+    did_something: bool = False
+    buffer: bytearray = field(default_factory=bytearray)
+    inbox: bytearray = field(default_factory=bytearray)
+    real: int = 0
+    alive: bool = True
+    executions: int = 0
+
+
+Told = Callable[[Process, int, bytes], None]  # what a process tells: the message's kind and its bytes
+
+
+class Processes:
+    """A program that runs: its first process, and those that it has started."""
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        environment: Mapping[str, str],
+        files: Sequence[Path],
+        *,
+        agent: int,
+        agents: int,
+        seed: int,
+        tick_ns: int,
+        now_ns: int,
+        told: Told,
+        epoch_ns: int = EPOCH_NS,
+        other_addresses: bool = False,
+    ) -> None:
+        """Start it; its first turn is the next `advance`.
+
+        Args:
+            command: its command line.
+            environment: variables beside those that every program gets.
+            files: files and folders that are copied into its home.
+            agent: number of the agent.
+            agents: how many there are.
+            seed: of all that is chance in it.
+            tick_ns: the time that passes for a program which looks at the clock again and again [ns].
+            now_ns: the time of its beginning [ns].
+            told: takes what is not for the processes themselves, such as datagrams.
+            epoch_ns: the real time at the beginning of a run [ns since 1970].
+            other_addresses: agents have other addresses, too, than those of their nodes.
+
+        Raises:
+            NoLibraryError: programs cannot run here.
+            ProgramEnded: it cannot be started.
+        """
+        library, launcher = compiled()
+        self._owner = os.getpid()
+        self._agent, self._agents, self._seed, self._tick_ns, self._epoch_ns = agent, agents, seed, tick_ns, epoch_ns
+        self.now_ns, self._told, self._flags = now_ns, told, int(other_addresses)
+        self.home = Path(tempfile.mkdtemp(prefix="fleet-home-"))
+        self._processes: dict[int, Process] = {}
+        self._next_pid = 1000 + agent
+        self._gone: list[int] = []
+        self.status: int | None = None  # of the first process, as of subprocess.Popen; None: it runs
+        self.refused = ""  # what the library has refused, in its words
+        self._texts = [_Text(), _Text()]
+        self._furnish(files)
+        self._visible = _visible(command)
+        ours, its = socket.socketpair()
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
+        out, err = (text.file for text in self._texts)
+        start = [launcher, its.fileno(), out, err, self.home, library, MEMORY_MB, "--", *command]
+        try:
+            self._popen = subprocess.Popen(
+                [*map(str, start)],
+                env=_environment(seed) | environment,
+                pass_fds=[its.fileno(), out, err],
+                stdin=subprocess.DEVNULL,
+            )
+        except OSError as error:
+            self.close()
+            raise ProgramEnded(f"it cannot be started: {error}") from None
+        its.close()
+        self._first = self._add(ours, 0)
+        self._first.real = self._popen.pid
+        self._read_turn(self._first)
+
+    def _furnish(self, files: Sequence[Path]) -> None:
+        for name in (".shm", ".tmp", ".run", ".host"):
+            (self.home / name).mkdir()
+        host = self.home / ".host"
+        width = "10.0.{}.{}"
+        names = [f"{width.format(i >> 8, i & 255)} auv{i} auv-{i} agent{i}" for i in range(1, self._agents + 1)]
+        texts = {
+            "hosts": "\n".join(["127.0.0.1 localhost", "::1 localhost ip6-localhost", *names, ""]),
+            "resolv.conf": "",
+            "nsswitch.conf": "passwd: files\ngroup: files\nhosts: files\nservices: files\nprotocols: files\n",
+            "host.conf": "multi on\n",
+            "hostname": f"auv-{self._agent}\n",
+            "machine-id": f"{self._agent:032x}\n",
+            "boot_id": f"00000000-0000-4000-8000-{self._agent:012x}\n",
+            "timezone": "Etc/UTC\n",
+            "meminfo": "MemTotal: 4194304 kB\nMemFree: 2097152 kB\nMemAvailable: 2097152 kB\nSwapTotal: 0 kB\n",
+            "uptime": "1000.00 1000.00\n",
+            "loadavg": "0.00 0.00 0.00 1/1 1\n",
+            "stat": f"cpu 0 0 0 0 0 0 0 0 0 0\ncpu0 0 0 0 0 0 0 0 0 0 0\nbtime {self._epoch_ns // 10**9 - 1000}\n",
+            "route": "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
+            "auv0\t0000000A\t00000000\t0001\t0\t0\t0\t00FFFFFF\t0\t0\t0\n",
+            "processors": "0\n",
+            "empty": "",
+        }
+        for name, text in texts.items():
+            (host / name).write_text(text)
+        with suppress(OSError):
+            shutil.copy("/usr/share/zoneinfo/UTC", host / "localtime")
+        for path in files:
+            if path.is_dir():
+                shutil.copytree(path, self.home / path.name)
+            else:
+                shutil.copy2(path, self.home / path.name)
+
+    def _add(self, channel: socket.socket, parent: int) -> Process:
+        process = Process(self._next_pid, channel, parent)
+        self._next_pid += 1000  # so that agents and their processes have numbers of their own
+        self._processes[process.pid] = process
+        return process
+
+    def _configuration(self, process: Process) -> bytes:
+        process.executions += 1
+        chance = (self._seed * 1_000_003 + process.pid * 101 + process.executions) & (2**64 - 1)
+        prefix = 24 if self._agents < 255 else 16
+        numbers = (self.now_ns, self._tick_ns, self._epoch_ns, chance)
+        head = _CONFIGURATION.pack(*numbers, process.pid, process.parent or 1, self._agent, prefix, self._agents, self._flags)
+        return head + b"\0".join([os.fsencode(self.home), *map(os.fsencode, self._visible)]) + b"\0\0"
+
+    # What the agent calls.
+
+    def advance(self, until_ns: int, before_last: Callable[[], object] | None = None) -> None:
+        """Let time pass up to a moment, and each timer come at its own. Messages that were sent before come at the first one.
+
+        Args:
+            until_ns: the moment [ns].
+            before_last: called after each moment but the last one, while `now_ns` is its time.
+
+        Raises:
+            ProgramEnded: a process computes without an end, or does not answer.
+        """
+        while self._processes and (due := min(p.deadline for p in self._processes.values())) < until_ns:
+            self._moment(max(due, self.now_ns))
+            if before_last is not None:
+                before_last()
+        self._moment(until_ns)
+
+    def send(self, kind: int, data: bytes, but: int = 0) -> None:
+        """Hand a message to all processes with their next turn, in this moment. `but`: to all but one."""
+        for process in self._processes.values():
+            if process.pid != but:
+                process.inbox += _HEAD.pack(1 + len(data), kind) + data
+
+    def _moment(self, now_ns: int) -> None:
+        self.now_ns = now_ns
+        turns = 0
+        while True:
+            due = [p for p in self._processes.values() if p.inbox or p.deadline <= now_ns or p.did_something]
+            if not due:
+                return
+            again = any(p.did_something for p in due)
+            for process in self._processes.values():
+                process.did_something = False
+            for process in list(self._processes.values()) if again else due:
+                turns += 1
+                if turns > MOST_TURNS:
+                    raise ProgramEnded(f"its processes had {MOST_TURNS} turns at one moment, and none waits")
+                if process.alive:
+                    self._turn(process)
+
+    def _turn(self, process: Process) -> None:
+        data = bytes(process.inbox) + _HEAD.pack(9, ord("T")) + struct.pack("<q", self.now_ns)
+        process.inbox.clear()
+        process.did_something = False
+        try:
+            process.channel.sendall(data)
+        except OSError:
+            self._ended(process)
+            return
+        self._read_turn(process)
+
+    def _read_turn(self, process: Process) -> None:
+        """Take what a process tells until its turn is over."""
+        buffer, begun = process.buffer, None
+        while True:
+            while len(buffer) >= 5:
+                length, kind = _HEAD.unpack_from(buffer)
+                if len(buffer) < 4 + length:
+                    break
+                data = bytes(buffer[5 : 4 + length])
+                del buffer[: 4 + length]
+                if kind == 73:  # I: it waits
+                    process.deadline, flags = struct.unpack("<qB", data)
+                    process.inside = bool(flags & _ONLY_INSIDE)
+                    process.did_something = bool(flags & _DID_SOMETHING) and len(self._processes) > 1
+                    return
+                self._take(process, kind, data)
+            try:
+                data, control, _, _ = process.channel.recvmsg(1 << 17, 64)
+            except BlockingIOError:
+                begun = self._look_after(process, begun)
+                continue
+            except OSError:
+                data, control = b"", []
+            if control:
+                self._adopt(process, control)
+            if not data:
+                self._ended(process)
+                return
+            buffer += data
+
+    def _take(self, process: Process, kind: int, data: bytes) -> None:
+        if kind == 72:  # H: the library is loaded
+            self._answer(process, b"J" + self._configuration(process))
+        elif kind == 71:  # G: a signal for another process
+            which, number = struct.unpack("<qB", data)
+            self._answer(process, b"U" + bytes((self._kill(process, which, number),)))
+        elif kind == 89:  # Y: the kernel's number of a process that was started
+            process.real = int.from_bytes(data, "little")
+        elif kind == 82:  # R: it does something that is not emulated
+            self.refused = data.decode("utf-8", "replace")
+        elif kind != 78:  # N comes with a descriptor, see `_adopt`
+            self._told(process, kind, data)
+
+    def answer(self, process: Process, data: bytes) -> None:
+        """Answer a question that a process has asked in its turn."""
+        self._answer(process, data)
+
+    def _answer(self, process: Process, data: bytes) -> None:
+        with suppress(OSError):
+            process.channel.sendall(len(data).to_bytes(4, "little") + data)
+
+    def _adopt(self, parent: Process, control: list[tuple[int, int, bytes]]) -> None:
+        """A process starts another one, and has sent the other's end of a channel."""
+        (descriptor,) = struct.unpack("i", control[0][2][:4])
+        if len(self._processes) >= MOST_PROCESSES:
+            os.close(descriptor)
+            self._answer(parent, b"J" + bytes(_CONFIGURATION.size) + b"\0\0")
+            return
+        channel = socket.socket(fileno=descriptor)
+        channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
+        child = self._add(channel, parent.pid)
+        child.deadline = 0
+        self._answer(parent, b"J" + self._configuration(child))
+
+    def _kill(self, sender: Process, which: int, number: int) -> bool:
+        found = [p for p in self._processes.values() if which in (p.pid, -1) or (which == -p.pid)]
+        for process in found:
+            if process is sender or not number:
+                continue
+            if number == signal.SIGKILL:
+                self._kill_now(process)
+            else:
+                process.inbox += _HEAD.pack(2, ord("G")) + bytes((number,))
+        return bool(found)
+
+    def _kill_now(self, process: Process) -> None:
+        if process.real:
+            with suppress(OSError):
+                os.kill(process.real, signal.SIGKILL)
+        self._ended(process)
+
+    def _ended(self, process: Process) -> None:
+        process.alive = False
+        process.channel.close()
+        self._processes.pop(process.pid, None)
+        if process is self._first:
+            self.status = self._popen.wait()
+            return
+        for other in self._processes.values():
+            other.inbox += _HEAD.pack(5, ord("C")) + process.pid.to_bytes(4, "little")
+
+    def _look_after(self, process: Process, begun: tuple[float, float] | None) -> tuple[float, float]:
+        """Called each second in which a process has not answered."""
+        used = sum(map(_cpu_s, _group(self._popen.pid)))
+        if begun is None:
+            return used, monotonic()
+        first, since = begun
+        if used - first > CPU_S:
+            self._show_stack(signal.SIGXCPU)
+            raise ProgramEnded(f"it computed for {CPU_S:g} s and did not wait")
+        if monotonic() - since > STUCK_S and used - first < 0.1 * CPU_S:
+            self._show_stack(signal.SIGABRT)
+            raise ProgramEnded("it waits in the kernel for something that is not emulated")
+        return begun
+
+    def _show_stack(self, number: int) -> None:
+        with suppress(OSError):
+            os.kill(self._popen.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            self._popen.wait(3)
+
+    @property
+    def count(self) -> int:
+        """How many processes there are."""
+        return len(self._processes)
+
+    @property
+    def running(self) -> bool:
+        """Whether any process is left."""
+        return bool(self._processes)
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether no thread of any process can ever run again: nothing that they wait for can come."""
+        return bool(self._processes) and all(p.inside and p.deadline == NEVER for p in self._processes.values())
+
+    def show_threads(self) -> None:
+        """Let the processes print where their threads wait, and end."""
+        for process in self._processes.values():
+            with suppress(OSError):
+                process.channel.sendall(_HEAD.pack(1, ord("B")))
+        deadline = monotonic() + 3
+        for process in self._processes.values():
+            process.channel.settimeout(max(0.05, deadline - monotonic()))
+            with suppress(OSError):
+                while process.channel.recv(1 << 16):
+                    pass
+
+    def lines(self) -> list[tuple[str, str]]:
+        """What has been printed since the last call: the stream, `out` or `err`, and a line."""
+        out = [("out", line) for line in self._texts[0].lines(not self._processes)]
+        return out + [("err", line) for line in self._texts[1].lines(not self._processes)]
+
+    def close(self) -> None:
+        """End all that runs, and delete the home. In a copy of the process that has started it: nothing."""
+        if os.getpid() != self._owner:
+            return
+        popen = getattr(self, "_popen", None)
+        if popen is not None:
+            for pid in _group(popen.pid):
+                with suppress(OSError):
+                    os.kill(pid, signal.SIGKILL)
+            with suppress(OSError):
+                os.killpg(popen.pid, signal.SIGKILL)
+            with suppress(OSError):
+                popen.kill()
+            popen.wait()
+        for process in self._processes.values():
+            process.channel.close()
+        self._processes.clear()
+        for text in self._texts:
+            text.close()
+        shutil.rmtree(self.home, ignore_errors=True)
+
+
+class _Text:
+    """What a program writes to one of its standard outputs: a file in memory, so that it never waits for a reader."""
+
+    def __init__(self) -> None:
+        self.file = os.memfd_create("output")
+        os.set_inheritable(self.file, False)
+        fcntl.fcntl(self.file, fcntl.F_SETFL, os.O_APPEND)
+        self._at, self._rest = 0, b""
+
+    def lines(self, whole: bool) -> list[str]:
+        """The lines that are complete; `whole`: what is left, too."""
+        if self.file < 0:
+            return []
+        parts = [self._rest]
+        while data := os.pread(self.file, 1 << 20, self._at):
+            parts.append(data)
+            self._at += len(data)
+        if len(parts) == 1 and not (whole and self._rest):
+            return []
+        lines = b"".join(parts).split(b"\n")
+        self._rest = lines.pop()
+        if (whole and self._rest) or len(self._rest) > MOST_LINE:
+            lines.append(self._rest)
+            self._rest = b""
+        return [line.decode("utf-8", "replace").rstrip("\r") for line in lines]
+
+    def close(self) -> None:
+        if self.file >= 0:
+            os.close(self.file)
+            self.file = -1
+
+
+def _environment(seed: int) -> dict[str, str]:
+    """What every program finds in its environment."""
+    kept = {key: value for key, value in os.environ.items() if key == "PATH" or key.startswith("OPENBLAS_")}
+    return kept | {
+        "HOME": "/home/auv", "USER": "auv", "LOGNAME": "auv", "TMPDIR": "/tmp", "LANG": "C.UTF-8", "TZ": "UTC",
+        "PYTHONHASHSEED": str(seed % 2**32), "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONFAULTHANDLER": "1",  # a stack when it computes without an end, or waits for ever
+        "GLIBC_TUNABLES": "glibc.pthread.rseq=0",  # else the kernel writes the processor's number into each thread
+        "OPENSSL_ia32cap": "~0x4000000000000000:~0x40000",  # no RDRAND and no RDSEED, which nobody can trap
+    }  # fmt: skip
+
+
+def _visible(command: Sequence[str]) -> list[str]:
+    """Folders below /tmp and the like that the program is to see: its own file, its Python, and what it is told."""
+    found: list[str] = []
+    paths = [Path(word) for word in command if word.startswith("/")]
+    if found_in_path := shutil.which(command[0]):
+        paths.append(Path(found_in_path))
+    for path in paths:
+        for each in (path, path.resolve()):
+            found.append(str(each))
+            folder = each if each.is_dir() else each.parent
+            found.append(str(folder.parent if folder.name == "bin" else folder))
+    return [folder for folder in dict.fromkeys(found) if folder not in ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")]
+
+
+def _group(leader: int) -> list[int]:
+    """The processes of a group, by the kernel's numbers."""
+    found = []
+    for name in os.listdir("/proc"):
+        if name.isdecimal():
+            with suppress(OSError):
+                if os.getpgid(int(name)) == leader:
+                    found.append(int(name))
+    return found
+
+
+def _cpu_s(pid: int) -> float:
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
+
+

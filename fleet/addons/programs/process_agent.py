@@ -165,7 +165,7 @@ class _Life:
         self._id, self._book = config.id, book
         self._out: deque[bytes] = deque()
         self._queued, self._dropped = 0, 0
-        self.over = False
+        self.over = self._begun = False
         self.streams = Streams(config.id, lambda segment: self._put(segment.packed()), self._to_processes)
         self.processes = Processes(
             command, environment, files, agent=config.id, agents=book.largest, tick_ns=config.tick_ns, now_ns=now_ns,
@@ -180,6 +180,9 @@ class _Life:
         processes, streams = self.processes, self.streams
         said: list[tuple[int, str, str]] = []
         try:
+            if not self._begun:
+                self._begun = True
+                processes.begin()
             processes.advance(now_ns, before_last=lambda: said.extend(self._lines()))
             streams.processes = processes.count
             streams.tick(now_ns)

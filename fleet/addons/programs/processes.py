@@ -78,7 +78,7 @@ class Processes:
         epoch_ns: int = EPOCH_NS,
         other_addresses: bool = False,
     ) -> None:
-        """Start it; its first turn is the next `advance`.
+        """Start it; nothing of it runs before `begin`.
 
         Args:
             command: its command line.
@@ -128,6 +128,9 @@ class Processes:
         its.close()
         self._first = self._add(ours, 0)
         self._first.real = self._popen.pid
+
+    def begin(self) -> None:
+        """Let the program run until it waits for the first time. Raises ProgramEnded, as `advance`."""
         self._read_turn(self._first)
 
     def _furnish(self, files: Sequence[Path]) -> None:

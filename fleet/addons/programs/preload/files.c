@@ -29,7 +29,7 @@ static int below(const char *path, const char *folder, size_t n) {
 
 static int is_visible(const char *path) {
   for (const char *each = visible; *each; each += strlen(each) + 1)
-    if (below(path, each, strlen(each))) return 1;
+    if (below(path, each, strlen(each)) || (below(each, path, strlen(path)) && strchr(path + 1, '/'))) return 1; /* or on the way to one */
   return 0;
 }
 

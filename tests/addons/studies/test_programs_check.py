@@ -73,7 +73,7 @@ def test_a_search_finds_it(module: Callable[[str], str], tmp_path: Path, monkeyp
     monkeypatch.chdir(tmp_path)
     Path("talk.yaml").write_text(talking(module, JUDGED, text=MOORED, fails_at=50).to_yaml(), "utf-8")
     for check in ([], ["--check", "programs"]):
-        done = invoke("search", "talk.yaml", "--nemesis", *check, "--budget", "2")
+        done = invoke("search", "talk.yaml", "--nemesis", *check, "--budget", "2", "--force")
         assert "programs" in done.stdout, done.stderr
 
 

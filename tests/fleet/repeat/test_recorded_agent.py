@@ -6,17 +6,21 @@ would have said; `tests/addons/hosts/protocol/test_conformance.py` verifies one 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from failing_laws import module as module
 from in_process_runs import recorded
 from plain_messages import encoded
+from talking import talking
 from tool import invoke
 
 import fleet.execution.execute
 import fleet.execution.in_process
 from agents.config import AgentConfig
 from agents.make_agent import make_agent
+from fleet.execution.options import Options
 from fleet.logs.schemas import Doubles, MessageField
 from fleet.repeat.recorded_agent import NotRecordedError
 from fleet.repeat.verify import verification_lines, verify
@@ -84,6 +88,22 @@ def test_nothing_goes_on_from_it_and_whatif_says_whose_it_is(log: Path) -> None:
     assert asked.exit_code == 0, asked.output
     assert "note  vehicle 3 is external: what was recorded is what somebody else's agent commanded" in asked.output
     assert "identical" in asked.output
+
+
+def test_what_it_said_in_lines_is_repeated(
+    module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = talking(module, EXTERNAL, floods=300, ends_at=99)
+    with monkeypatch.context() as patch:
+        patch.setattr(fleet.execution.execute, "refuse", lambda *_: None)
+        result = fleet.execution.execute.execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+    assert result.status is Status.PASS, result.reason
+    made: list[int] = []
+    make = fleet.execution.in_process.make_agent
+    monkeypatch.setattr(fleet.execution.in_process, "make_agent", lambda config: made.append(config.id) or make(config))
+    found = verify(result.directory / "run.mcap")
+    assert found.reproduced, verification_lines(found)
+    assert made == [1, 2]
 
 
 def test_thinned_commands_cannot_be_said_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

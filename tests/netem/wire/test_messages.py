@@ -20,7 +20,7 @@ from fleet.addons.hosts.protocol.page import declared, fields_of, records, texts
 from netem.errors import MalformedMessage
 from netem.wire.codec import decode, encode, expect
 from netem.wire.control import read_map
-from netem.wire.messages import Command, Grant, Hello, Message, Nav
+from netem.wire.messages import Command, Grant, Hello, Message, Nav, Said
 
 
 def plainest(wire: str) -> Any:
@@ -123,6 +123,16 @@ def test_a_nav_without_roll_and_clock_is_the_one_that_it_always_was() -> None:
         sure = Nav(0, 3, nav.eta, nav.nu, roll, None, tuple(map(float, range(10))))
         assert msgpack.unpackb(encode(sure))[5:] == [[*roll], None, [*sure.belief]]
         assert decode(encode(sure)) == sure
+
+
+def test_a_command_with_which_nothing_is_said_is_the_one_that_it_always_was() -> None:
+    """Agents that were written before commands could carry lines go on, and so does a world of that time."""
+    old = msgpack.packb(["cmd", 0, 3, [1.0, 2.0, 3.0], [4.0]])
+    command = Command(0, 3, (1.0, 2.0, 3.0), (4.0,))
+    assert encode(command) == old
+    assert decode(old) == command
+    talking = Command(0, 3, (1.0, 2.0, 3.0), (4.0,), (Said(30, "out", "hello"),))
+    assert msgpack.unpackb(encode(talking)) == [*msgpack.unpackb(old), [[30, "out", "hello"]]]
 
 
 def test_telemetry_may_hold_anything() -> None:

@@ -10,7 +10,11 @@ A payload is as long as the packet that it stands for: the bytes of the program,
 | 4 .. 7 | u32 | CRC-32 (zlib) of all the rest, since the network may flip bits, and UDP and TCP have checksums, too |
 | 8, 9 | u16 | the agent that it is for; 0: all |
 | 10 .. 13 | u16 | its ports: from, to |
-| 14 .. | | the address that it is for, 4 or 16 bytes; of a segment: its fields |
+| 14 .. | | the address that it is for, 4 or 16 bytes; then, of a fragment, u16 its datagram, u8 its place, u8 how many |
+| 14 .. | | of a segment: its fields |
+
+What does not fit into the MTU travels in fragments, as IP does it. (Of IP, only the first fragment has the ports, and the
+others are 8 bytes shorter than here.)
 
 Numbers are little-endian. The address of the sender is that of its node: 10.0.0.NUMBER, or fd00::NUMBER.
 """
@@ -24,6 +28,9 @@ from zlib import crc32
 EVERYBODY = 0
 _BEGIN = b"\x81\x01p"
 _FIELDS = struct.Struct("<HHH")
+MTU = 1500
+MOST_PARTIAL = 64  # datagrams of which fragments are missing; the oldest is given up, as after 30 s in Linux
+_FRAGMENT = struct.Struct("<HBB")
 _HEADER = {0: 28, 1: 48, 2: 40, 3: 60}
 V4 = bytes(10) + b"\xff\xff"
 
@@ -36,12 +43,44 @@ class Datagram(NamedTuple):
     to_port: int
     to_ip: bytes  # 16 bytes; IPv4 as ::ffff:a.b.c.d
     data: bytes
+    number: int = 0  # of the datagram that it is a fragment of
+    place: int = 0
+    places: int = 1
 
     def packed(self) -> bytes:
         """The payload."""
         v6 = self.to_ip[:12] != V4
         fields = _FIELDS.pack(self.agent, self.from_port, self.to_port) + (self.to_ip if v6 else self.to_ip[12:])
-        return _whole(1 if v6 else 0, fields, self.data)
+        return _whole(1 if v6 else 0, fields + _FRAGMENT.pack(self.number, self.place, self.places), self.data)
+
+    def fragments(self, number: int) -> list[Datagram]:
+        """The packets that it travels in. `number`: of the datagram, among those of its sender."""
+        room = MTU - _HEADER[1 if self.to_ip[:12] != V4 else 0]
+        if len(self.data) <= room:
+            return [self]
+        parts = [self.data[at : at + room] for at in range(0, len(self.data), room)]
+        return [self._replace(data=part, number=number, place=k, places=len(parts)) for k, part in enumerate(parts)]
+
+
+class Fragments:
+    """Fragments that have come, until their datagrams are whole."""
+
+    def __init__(self) -> None:
+        self._parts: dict[tuple[int, int], dict[int, Datagram]] = {}
+
+    def whole(self, src: int, packet: Datagram) -> Datagram | None:
+        """The datagram that a packet completes; None: others are missing. `src`: the agent that has sent it."""
+        if packet.places == 1:
+            return packet
+        parts = self._parts.setdefault((src, packet.number), {})
+        parts[packet.place] = packet
+        if len(parts) == packet.places:
+            del self._parts[src, packet.number]
+            data = b"".join(parts[k].data for k in sorted(parts))
+            return packet._replace(data=data, place=0, places=1)
+        if len(self._parts) > MOST_PARTIAL:
+            del self._parts[next(iter(self._parts))]
+        return None
 
 
 class Segment(NamedTuple):
@@ -90,6 +129,6 @@ def read(payload: bytes) -> Datagram | Segment | None:
     agent, from_port, to_port = _FIELDS.unpack_from(rest)
     data = rest[_HEADER[kind] - 8 :]
     if kind < 2:
-        ip = rest[6:22] if kind else V4 + rest[6:10]
-        return Datagram(agent, from_port, to_port, ip, data)
+        ip, at = (rest[6:22], 22) if kind else (V4 + rest[6:10], 10)
+        return Datagram(agent, from_port, to_port, ip, data, *_FRAGMENT.unpack_from(rest, at))
     return Segment(agent, from_port, to_port, *_SEGMENT.unpack_from(rest, 6), kind == 3, data)

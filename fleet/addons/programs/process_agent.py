@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
 from fleet.addons.programs.line_signal import NOTHING_YET, LineSignal
-from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Segment, node_address, read
+from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.streams import Streams
 from world.plugins.output import line_writer
@@ -164,7 +164,8 @@ class _Life:
     ) -> None:
         self._id, self._book = config.id, book
         self._out: deque[bytes] = deque()
-        self._queued, self._dropped = 0, 0
+        self._queued, self._dropped, self._number = 0, 0, 0
+        self._fragments = Fragments()
         self.over = self._begun = False
         self.streams = Streams(config.id, lambda segment: self._put(segment.packed()), self._to_processes)
         self.processes = Processes(
@@ -175,7 +176,10 @@ class _Life:
 
     def step(self, now_ns: int, packets: Sequence[Delivery]) -> list[tuple[int, str, str]]:
         """Let time pass: what has come, and what the program prints until it waits (time [ns], stream, line)."""
-        if self.over:
+        if self.over:  # what it had written to its streams is still sent
+            self.streams.tick(now_ns)
+            for delivery in packets:
+                self._hear(delivery)
             return []
         processes, streams = self.processes, self.streams
         said: list[tuple[int, str, str]] = []
@@ -226,9 +230,6 @@ class _Life:
             taken.append(self._out.popleft())
             most -= len(taken[-1])
             self._queued -= len(taken[-1])
-        if not taken and self._out and len(self._out[0]) > MOST_IN_ROUND:
-            self._queued -= len(self._out.popleft())  # larger than any round: it can never leave
-            self._dropped += 1
         return taken
 
     def _put(self, payload: bytes) -> None:
@@ -246,7 +247,7 @@ class _Life:
             self._send(process, data)
         elif kind != 76:  # L: one was lost, because its socket was full
             self.streams.processes = self.processes.count
-            self.streams.told(kind, data, self._book.agent)
+            self.streams.told(process.pid, kind, data, self._book.agent)
 
     def _send(self, process: Process, data: bytes) -> None:
         from_ip, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)
@@ -259,7 +260,9 @@ class _Life:
             self.processes.send(68, data, but=process.pid)
         if agent is not None and agent != self._id:
             to = to_ip if agent == EVERYBODY else node_address(agent, to_ip[:12] != V4)
-            self._put(Datagram(agent, from_port, to_port, to, data[_ADDRESSES.size :]).packed())
+            self._number = (self._number + 1) & 0xFFFF
+            for each in Datagram(agent, from_port, to_port, to, data[_ADDRESSES.size :]).fragments(self._number):
+                self._put(each.packed())
 
     def _hear(self, delivery: Delivery) -> None:
         packet = read(delivery.payload)
@@ -268,6 +271,9 @@ class _Life:
         if isinstance(packet, Segment):
             self.streams.hear(delivery.src, packet)
             return
+        if (whole := self._fragments.whole(delivery.src, packet)) is None:
+            return
+        packet = whole
         v6 = packet.to_ip[:12] != V4
         head = _ADDRESSES.pack(node_address(delivery.src, v6), packet.from_port, packet.to_ip, packet.to_port)
         self.processes.send(68, head + packet.data)

@@ -55,9 +55,10 @@ class Process:
     real: int = 0
     alive: bool = True
     executions: int = 0
+    began: bool = False  # an executable, in this turn
 
 
-Told = Callable[[Process, int, bytes], None]  # what a process tells: the message's kind and its bytes
+Told = Callable[[Process, int, bytes], None]  # what a process tells: the message's kind and its bytes; 0: it has ended
 
 
 class Processes:
@@ -155,6 +156,9 @@ class Processes:
             "route": "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
             "auv0\t0000000A\t00000000\t0001\t0\t0\t0\t00FFFFFF\t0\t0\t0\n",
             "processors": "0\n",
+            "dev": "Inter-| Receive | Transmit\n face |bytes packets errs drop fifo frame compressed multicast|"
+            "bytes packets errs drop fifo colls carrier compressed\n"
+            + "".join(f"  {name}: {' '.join('0' * 16)}\n" for name in ("lo", "auv0")),
             "empty": "",
         }
         for name, text in texts.items():
@@ -246,7 +250,8 @@ class Processes:
                 if kind == 73:  # I: it waits
                     process.deadline, flags = struct.unpack("<qB", data)
                     process.inside = bool(flags & _ONLY_INSIDE)
-                    process.did_something = bool(flags & _DID_SOMETHING) and len(self._processes) > 1
+                    did = bool(flags & _DID_SOMETHING) or process.began  # an exec closes files, too
+                    process.did_something, process.began = did and len(self._processes) > 1, False
                     return
                 self._take(process, kind, data)
             try:
@@ -265,6 +270,7 @@ class Processes:
 
     def _take(self, process: Process, kind: int, data: bytes) -> None:
         if kind == 72:  # H: the library is loaded
+            process.began = True
             self._answer(process, b"J" + self._configuration(process))
         elif kind == 71:  # G: a signal for another process
             which, number = struct.unpack("<qB", data)
@@ -317,10 +323,10 @@ class Processes:
     def _ended(self, process: Process) -> None:
         process.alive = False
         process.channel.close()
+        self._told(process, 0, b"")
         self._processes.pop(process.pid, None)
         if process is self._first:
             self.status = self._popen.wait()
-            return
         for other in self._processes.values():
             other.inbox += _HEAD.pack(5, ord("C")) + process.pid.to_bytes(4, "little")
 

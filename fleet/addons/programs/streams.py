@@ -29,6 +29,7 @@ Deliver = Callable[[int, bytes], None]  # to the program's processes: kind and b
 class End:
     """One end of a connection."""
 
+    owner: int  # number of the process that has it
     connection: int  # as the program's library knows it; the other end has the same number with its last bit changed
     agent: int  # of the other end; the own one for the loopback
     from_port: int
@@ -75,20 +76,25 @@ class Streams:
 
     # What the program's library tells.
 
-    def told(self, kind: int, data: bytes, agent_of: Callable[[bytes, int], int | None]) -> None:
+    def told(self, process: int, kind: int, data: bytes, agent_of: Callable[[bytes, int], int | None]) -> None:
         """Take a message of a process.
 
         Args:
-            kind: of the message.
+            process: its number.
+            kind: of the message; 0: the process has ended.
             data: its bytes.
             agent_of: the agent at an address and port; None: nobody.
         """
+        if kind == 0:
+            for end in [each for each in self._ends.values() if each.owner == process and not each.closed]:
+                self._close(end, unread=False)
+            return
         connection = int.from_bytes(data[:8], "little")
         if kind == 65:  # A: connect
-            self._connect(data, agent_of)
+            self._connect(process, data, agent_of)
             return
         if kind in (80, 88):  # P, X: a call was taken, or refused by one process
-            self._answered(connection, kind == 80)
+            self._answered(process, connection, kind == 80)
             return
         end = self._ends.get(connection)
         if end is None:
@@ -102,22 +108,22 @@ class Streams:
         elif kind == 75:  # K: closed
             self._close(end, unread=bool(data[8]))
 
-    def _connect(self, data: bytes, agent_of: Callable[[bytes, int], int | None]) -> None:
+    def _connect(self, process: int, data: bytes, agent_of: Callable[[bytes, int], int | None]) -> None:
         connection, _, from_port, to_ip, to_port = _CALL.unpack(data)
         agent = agent_of(to_ip, to_port)
-        end = End(connection, agent or 0, from_port, to_port, to_ip[:12] != V4)
+        end = End(process, connection, agent or 0, from_port, to_port, to_ip[:12] != V4)
         self._ends[connection] = end
         if agent is None:
             self._fail(end, errno.EHOSTUNREACH)
         elif agent == self._agent:
             self._calls[connection | 1] = self.processes
-            self._ends[connection | 1] = End(connection | 1, agent, to_port, from_port, end.v6, stands=True)
+            self._ends[connection | 1] = End(0, connection | 1, agent, to_port, from_port, end.v6, stands=True)
             self._deliver(65, (connection | 1).to_bytes(8, "little") + data[8:])
         else:
             end.tries, end.due_ns = 1, self.now_ns + end.rto_ns
             self._put(end, SYN)
 
-    def _answered(self, connection: int, taken: bool) -> None:
+    def _answered(self, process: int, connection: int, taken: bool) -> None:
         left = self._calls.get(connection)
         end = self._ends.get(connection)
         if left is None or end is None:
@@ -128,7 +134,7 @@ class Streams:
         del self._calls[connection]
         local = end.agent == self._agent
         if taken:
-            end.stands = True
+            end.stands, end.owner = True, process
             if local:
                 other = self._ends[connection ^ 1]
                 other.stands = True
@@ -233,7 +239,7 @@ class Streams:
             if end.stands and end.connection not in self._calls:
                 self._put(end, SYN_ACK)
             return
-        end = End(segment.connection, src, segment.to_port, segment.from_port, segment.v6)
+        end = End(0, segment.connection, src, segment.to_port, segment.from_port, segment.v6)
         self._ends[end.connection] = end
         self._calls[end.connection] = max(1, self.processes)
         own, other = node_address(self._agent, segment.v6), node_address(src, segment.v6)

@@ -21,7 +21,7 @@ static const struct { const char *path, *name; } written[] = {
     {"/proc/meminfo", "meminfo"}, {"/proc/uptime", "uptime"}, {"/proc/loadavg", "loadavg"}, {"/proc/stat", "stat"},
     {"/proc/sys/kernel/hostname", "hostname"}, {"/proc/sys/kernel/random/boot_id", "boot_id"},
     {"/sys/devices/system/cpu/online", "processors"}, {"/sys/devices/system/cpu/possible", "processors"},
-    {"/proc/net/route", "route"}, {"/proc/net/dev", "empty"}, {"/proc/net/if_inet6", "empty"}};
+    {"/proc/net/route", "route"}, {"/proc/net/dev", "dev"}, {"/proc/net/if_inet6", "empty"}};
 
 static int below(const char *path, const char *folder, size_t n) {
   return !strncmp(path, folder, n) && (path[n] == '/' || !path[n]);
@@ -147,6 +147,18 @@ static long open_file(int folder, const char *path, long flags, long mode) {
   if (!strcmp(real, "/dev/urandom") || !strcmp(real, "/dev/random") || !strcmp(real, "/dev/hwrng")) {
     long fd = SYS(SYS_openat, AT_FDCWD, "/dev/zero", O_RDWR | (flags & O_CLOEXEC), 0);
     if (fd >= 0) new_descriptor(fd, CHANCE);
+    return fd;
+  }
+  if (!strcmp(real, "/proc/sys/kernel/random/uuid")) { /* a new one each time */
+    u8 b[16];
+    char text[40];
+    draw_bytes(b, sizeof b);
+    int n = snprintf(text, sizeof text, "%02x%02x%02x%02x-%02x%02x-4%01x%02x-%02x%02x-%02x%02x%02x%02x%02x%02x\n", b[0], b[1], b[2], b[3], b[4],
+                     b[5], b[6] & 15, b[7], (b[8] & 63) | 128, b[9], b[10], b[11], b[12], b[13], b[14], b[15]);
+    long fd = SYS(SYS_memfd_create, "uuid", flags & O_CLOEXEC ? 1 : 0);
+    if (fd < 0) return fd;
+    SYS(SYS_pwrite64, fd, text, n, 0);
+    new_descriptor(fd, UNKNOWN);
     return fd;
   }
   static const char *const standard[] = {"/dev/stdin", "/dev/stdout", "/dev/stderr"};

@@ -158,7 +158,8 @@ struct sock {
   int error;
   i64 receive_timeout, send_timeout, last_stamp;
   u8 groups[16][16];
-  int n_groups;
+  int n_groups, n_options;
+  struct { int level, option, value; } options[24]; /* those that have no effect here: a program may look whether they were set */
   int listener, own_end; /* of a call that nobody has taken yet: where it waits (a number from 1), the program's end */
   u64 connection;
   u8 *waiting; /* what came and does not fit into the pair yet */
@@ -183,6 +184,7 @@ long stream_send(int descriptor, struct sock *sock, const struct msghdr *message
 long stream_shutdown(struct sock *sock, int how);
 void stream_received(struct sock *sock);
 void stream_close(struct sock *sock);
+void close_streams(void); /* at the end of the process, as the kernel does */
 void put_address(struct sockaddr *to, socklen_t *size, const struct address *from, int v6);
 int is_v4(const u8 *ip);
 int is_loopback(const u8 *ip);

@@ -211,6 +211,7 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
     }
     case SYS_exit: end_thread(a[0]);
     case SYS_exit_group:
+      close_streams();
       flush();
       return SYS(SYS_exit_group, a[0]);
     case SYS_wait4: {
@@ -251,7 +252,10 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
       *(u64 *)a[2] = 1;
       return 8;
     }
-    case SYS_sched_setaffinity: return 0;
+    case SYS_sched_setaffinity: case SYS_sched_setparam: case SYS_sched_setscheduler: case SYS_setpriority: return 0; /* one thread runs at a time */
+    case SYS_sched_getscheduler: return SCHED_OTHER;
+    case SYS_sched_getparam: return *(int *)a[1] = 0;
+    case SYS_getpriority: return 20; /* as the kernel tells niceness 0 */
     case SYS_sched_yield: yield(); return 0;
     case SYS_uname: {
       long r = SYS(SYS_uname, a[0]);

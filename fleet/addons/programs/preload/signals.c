@@ -86,6 +86,33 @@ static void die_of(int signal) {
   SYS(SYS_rt_sigprocmask, SIG_SETMASK, &all, 0, 8);
 }
 
+/* Signals that are read from a file: one end of a pair is the program's, and we write into the other. */
+static struct { int own, peer; u64 mask; } files[64];
+
+static long open_signals(int fd, u64 mask, int flags) {
+  for (size_t k = 0; k < LENGTH(files); k++)
+    if (fd >= 0 && files[k].peer && files[k].own == fd) return files[k].mask = mask, fd;
+  for (size_t k = 0; fd < 0 && k < LENGTH(files); k++)
+    if (!files[k].peer) {
+      int made = own_pair(SOCK_DGRAM, flags, &files[k].peer); /* the flags of both calls have the same numbers */
+      if (made >= 0) files[k].own = made, files[k].mask = mask, new_descriptor(made, POLLABLE);
+      return made;
+    }
+  return fd < 0 ? -EMFILE : -EINVAL;
+}
+
+static int read_from_file(int signal) {
+  for (size_t k = 0; k < LENGTH(files); k++)
+    if (files[k].peer && files[k].mask & bit(signal)) {
+      u32 record[32] = {signal, 0, 0, config.pid}; /* struct signalfd_siginfo: number, errno, code, process */
+      if (SYS(SYS_sendto, files[k].peer, record, sizeof record, MSG_DONTWAIT | MSG_NOSIGNAL, 0, 0) > 0) {
+        wake_all(&descriptors_changed);
+        return 1;
+      }
+    }
+  return 0;
+}
+
 void raise_signal(int signal, struct thread *directed) {
   struct action *a = &actions[signal];
   if (signal == SIGKILL || (is_kernels(signal) && (long)a->handler != 1)) {
@@ -94,6 +121,7 @@ void raise_signal(int signal, struct thread *directed) {
     else SYS(SYS_kill, real_pid(), signal);
     return;
   }
+  if ((directed ? directed->mask & bit(signal) : !taker(signal)) && read_from_file(signal)) return;
   if (!a->handler && is_harmless(signal) && !(directed ? directed->mask & bit(signal) : !taker(signal))) return;
   if (a->handler == SIG_IGN) return;
   details[signal] = (siginfo_t){.si_signo = signal, .si_code = SI_USER};
@@ -165,6 +193,8 @@ long signal_call(ucontext_t *context, long number, const long a[6]) {
     }
     case SYS_rt_sigpending: *(u64 *)a[0] = pending | me->pending; return 0;
     case SYS_rt_sigtimedwait: return wait_signal(*(u64 *)a[0], (void *)a[1], a[2] ? later(span((void *)a[2])) : NEVER);
+    case SYS_signalfd: return open_signals(a[0], *(u64 *)a[1], 0);
+    case SYS_signalfd4: return open_signals(a[0], *(u64 *)a[1], a[3] & (SOCK_CLOEXEC | SOCK_NONBLOCK));
     case SYS_pause:
     case SYS_rt_sigsuspend: {
       u64 mask = me->mask;

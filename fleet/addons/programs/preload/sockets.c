@@ -460,9 +460,19 @@ static i64 timeout_of(const void *value) {
   return ns ? ns : NEVER;
 }
 
+static int *kept_option(struct sock *s, int level, int option, int add) {
+  for (int k = 0; k < s->n_options; k++)
+    if (s->options[k].level == level && s->options[k].option == option) return &s->options[k].value;
+  if (!add || s->n_options == (int)LENGTH(s->options)) return 0;
+  s->options[s->n_options].level = level, s->options[s->n_options].option = option;
+  return &s->options[s->n_options++].value;
+}
+
 static long set_option(int fd, struct sock *s, int level, int option, const void *value, socklen_t size) {
   int v = 0;
   if (value) memcpy(&v, value, size < 4 ? size : 4);
+  int *kept = kept_option(s, level, option, 1);
+  if (kept) *kept = v;
   u8 group[16];
   memcpy(group, v4_mapped, 12);
   if (level == SOL_SOCKET) switch (option) {
@@ -519,7 +529,7 @@ static long set_option(int fd, struct sock *s, int level, int option, const void
 }
 
 static long get_option(struct sock *s, int level, int option, void *value, socklen_t *size) {
-  int v = 0;
+  int *kept = kept_option(s, level, option, 0), v = kept ? *kept : 0;
   if (level == SOL_SOCKET) switch (option) {
       case SO_TYPE: v = s->type; break;
       case SO_DOMAIN: v = s->v6 ? AF_INET6 : AF_INET; break;

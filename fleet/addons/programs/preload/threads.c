@@ -194,6 +194,7 @@ void end_thread(int status) {
   int others = 0;
   for (int k = 0; k <= last_thread; k++) others += threads[k].used && &threads[k] != own;
   if (!others) {
+    close_streams();
     flush();
     SYS(SYS_exit_group, status);
   }

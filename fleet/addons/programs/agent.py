@@ -31,6 +31,7 @@ from agents.api import (
 from fleet.addons.programs import standard
 from fleet.addons.programs.datagrams import EVERYBODY, AddressBook, Datagrams, select_module, socket_module
 from fleet.addons.programs.event_loop import asyncio_module, loop_aside
+from fleet.addons.programs.executables import obstacle
 from fleet.addons.programs.import_space import ImportSpace
 from fleet.addons.programs.library import NoLibraryError, compiled
 from fleet.addons.programs.line_signal import NOTHING_YET, LineSignal
@@ -90,8 +91,11 @@ def _process_class(
     path: Path, parameters: Mapping[str, Any], lines: tuple[LineSignal, ...]
 ) -> type[ProcessAgent]:
     interpreter = parameters.get("interpreter") or (sys.executable if path.suffix == ".py" else "")
-    if interpreter and (found := shutil.which(interpreter)) is None:
+    found = shutil.which(interpreter) if interpreter else None
+    if interpreter and found is None:
         raise _wrong(path, f"interpreter: there is no command {interpreter!r}", "give its path, or install it")
+    if problem := obstacle(found or path):
+        raise _wrong(path, problem)
     if not interpreter and not os.access(path, os.X_OK):
         raise _wrong(path, "it cannot be executed", "chmod +x, or say by which interpreter, such as `interpreter: node`")
     try:
@@ -101,7 +105,7 @@ def _process_class(
 
     class Program(ProcessAgent):
         plugin_file = path
-        command = (found, str(path)) if interpreter else (str(path),)
+        command = (found, str(path)) if found else (str(path),)
         reads = lines
         signals = tuple(Signal(each.name, "1", "as the program printed it last; -1 before") for each in lines)
 

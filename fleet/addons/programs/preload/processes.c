@@ -70,6 +70,8 @@ static long fork_process(u64 flags, long stack, int *parent_tid, int *child_tid,
   }
   trap_calls();
   SYS(SYS_dup3, pair[0], CHANNEL, 0);
+  SYS(SYS_close, pair[0]);
+  SYS(SYS_close, pair[1]);
   config = next, now = next.now;
   seed_chance(next.seed);
   memset(children, 0, sizeof children);
@@ -97,7 +99,7 @@ static long clone_process(ucontext_t *context, u64 flags, long stack, int *paren
 
 /* Whether the library will be loaded into a file that is executed: it is no static program, and nobody else's rights. */
 static long executable(const char *path) {
-  static u8 head[1024];
+  static u8 head[4096];
   for (int depth = 0; depth < 4; depth++) {
     struct stat s;
     if (SYS(SYS_stat, path, &s) == 0 && s.st_mode & (S_ISUID | S_ISGID) && (s.st_uid != (uid_t)SYS(SYS_getuid))) {
@@ -121,11 +123,20 @@ static long executable(const char *path) {
     }
     const Elf64_Ehdr *elf = (void *)head;
     if (n < (long)sizeof *elf || memcmp(elf->e_ident, ELFMAG, SELFMAG)) return 0; /* the kernel says what is wrong */
+    int dynamic = 0;
     for (int k = 0; k < elf->e_phnum; k++) {
       size_t at = elf->e_phoff + (size_t)k * sizeof(Elf64_Phdr);
       if (at + sizeof(Elf64_Phdr) > (size_t)n) return 0;
-      if (((Elf64_Phdr *)(head + at))->p_type == PT_INTERP) return 0;
+      const Elf64_Phdr *part = (void *)(head + at);
+      dynamic |= part->p_type == PT_INTERP;
+      /* A note of the Go linker: Go's threads have stacks on which no trap fits. */
+      if (part->p_type == PT_NOTE && part->p_offset + part->p_filesz <= (size_t)n &&
+          memmem(head + part->p_offset, part->p_filesz, "Go\0\0", 4)) {
+        say("%s is a program of Go, which is refused in simulated time; it runs on the wall clock: fleet netem", path);
+        return -EACCES;
+      }
     }
+    if (dynamic) return 0;
     say("%s is a static program, which is refused in simulated time; it runs on the wall clock: fleet netem", path);
     return -EACCES;
   }

@@ -87,9 +87,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProgramAgen
     return Program
 
 
-def _process_class(
-    path: Path, parameters: Mapping[str, Any], lines: tuple[LineSignal, ...]
-) -> type[ProcessAgent]:
+def _process_class(path: Path, parameters: Mapping[str, Any], lines: tuple[LineSignal, ...]) -> type[ProcessAgent]:
     interpreter = parameters.get("interpreter") or (sys.executable if path.suffix == ".py" else "")
     found = shutil.which(interpreter) if interpreter else None
     if interpreter and found is None:
@@ -97,7 +95,9 @@ def _process_class(
     if problem := obstacle(found or path):
         raise _wrong(path, problem)
     if not interpreter and not os.access(path, os.X_OK):
-        raise _wrong(path, "it cannot be executed", "chmod +x, or say by which interpreter, such as `interpreter: node`")
+        raise _wrong(
+            path, "it cannot be executed", "chmod +x, or say by which interpreter, such as `interpreter: node`"
+        )
     try:
         compiled()
     except NoLibraryError as error:

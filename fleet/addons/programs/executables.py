@@ -1,4 +1,4 @@
-"""Whether the library can be preloaded into an executable. What it is not loaded into would run in real time, unseen."""
+"""Whether the library can be preloaded into an executable: what it is not loaded into would escape, unseen."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def obstacle(path: str | Path) -> str:
             return ""
         name = os.fsdecode(words[0])
         if name.endswith("/env") and len(words) > 1:
-            name = os.fsdecode(next((word for word in words[1:] if not word.startswith(b"-") and b"=" not in word), b"sh"))
+            name = os.fsdecode(
+                next((word for word in words[1:] if not word.startswith(b"-") and b"=" not in word), b"sh")
+            )
     return ""
 
 

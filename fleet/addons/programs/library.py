@@ -1,4 +1,4 @@
-"""The library that is preloaded into programs, and what starts them: compiled from C, in the wheel or when first used."""
+"""The library that is preloaded into programs, and what starts them: compiled from C when they are first used."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ def compiled() -> tuple[Path, Path]:
     """The library and the launcher.
 
     Returns:
-        Their files: those of the wheel; else compiled into the user's cache, once for each version of the sources.
+        Their files: those beside the sources, if somebody put them there; else compiled into the user's cache, once
+        for each version of the sources.
 
     Raises:
         NoLibraryError: it is no Linux on x86-64, or there is no compiler.
@@ -50,10 +51,13 @@ def compile_preload(folder: Path) -> None:
     """Compile both into a folder. Raises CalledProcessError and OSError: the compiler fails, or there is none."""
     cc = os.environ.get("CC", "cc").split()
     library = map(str, sorted(SOURCES.glob("*.c")))
-    run = dict(check=True, capture_output=True, text=True)
-    subprocess.run([*cc, *_LIBRARY_FLAGS, "-o", str(folder / LIBRARY), *library], **run)  # type: ignore[call-overload]
+    _run([*cc, *_LIBRARY_FLAGS, "-o", str(folder / LIBRARY), *library])
     launcher = [str(SOURCES / "launcher" / "launch.c")]
-    subprocess.run([*cc, *_FLAGS, "-o", str(folder / LAUNCHER), *launcher], **run)  # type: ignore[call-overload]
+    _run([*cc, *_FLAGS, "-o", str(folder / LAUNCHER), *launcher])
+
+
+def _run(command: list[str]) -> None:
+    subprocess.run(command, check=True, capture_output=True, text=True)
 
 
 def _compile_into(folder: Path) -> None:

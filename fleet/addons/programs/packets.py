@@ -1,7 +1,7 @@
 """Packets between the nodes of programs: what an agent's payload holds, and how long it is.
 
-A payload is as long as the packet that it stands for: the bytes of the program, and a header of IP with UDP (28 bytes,
-48 of IPv6) or with TCP (40 and 60). In its room the header holds
+A payload is as long as the packet that it stands for: the bytes of the program, and a header of IP with UDP
+(28 bytes, 48 of IPv6) or with TCP (40 and 60). In its room the header holds
 
 | bytes | type | field |
 |---|---|---|
@@ -10,11 +10,11 @@ A payload is as long as the packet that it stands for: the bytes of the program,
 | 4 .. 7 | u32 | CRC-32 (zlib) of all the rest, since the network may flip bits, and UDP and TCP have checksums, too |
 | 8, 9 | u16 | the agent that it is for; 0: all |
 | 10 .. 13 | u16 | its ports: from, to |
-| 14 .. | | the address that it is for, 4 or 16 bytes; then, of a fragment, u16 its datagram, u8 its place, u8 how many |
+| 14 .. | | the address that it is for, 4 or 16 bytes; u16 the datagram of a fragment, u8 its place, u8 how many |
 | 14 .. | | of a segment: its fields |
 
-What does not fit into the MTU travels in fragments, as IP does it. (Of IP, only the first fragment has the ports, and the
-others are 8 bytes shorter than here.)
+What does not fit into the MTU travels in fragments, as IP does it. (Of IP, only the first fragment has the ports, and
+the others are 8 bytes shorter than here.)
 
 Numbers are little-endian. The address of the sender is that of its node: 10.0.0.NUMBER, or fd00::NUMBER.
 """
@@ -131,4 +131,5 @@ def read(payload: bytes) -> Datagram | Segment | None:
     if kind < 2:
         ip, at = (rest[6:22], 22) if kind else (V4 + rest[6:10], 10)
         return Datagram(agent, from_port, to_port, ip, data, *_FRAGMENT.unpack_from(rest, at))
-    return Segment(agent, from_port, to_port, *_SEGMENT.unpack_from(rest, 6), kind == 3, data)
+    kind_of, connection, sequence, acknowledged, window = _SEGMENT.unpack_from(rest, 6)
+    return Segment(agent, from_port, to_port, kind_of, connection, sequence, acknowledged, window, kind == 3, data)

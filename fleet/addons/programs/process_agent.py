@@ -76,7 +76,7 @@ class ProcessAgent:
             life.processes.close()
 
     def transmit(self, nav: Nav) -> Sequence[bytes]:
-        """What the program has sent since the last round, as much as fits into one; and what the agent that steers sends."""
+        """What the agent that steers sends, and of what the program has sent as much as fits into a round."""
         steering = list(self._formation.transmit(nav))
         return [*steering, *(self._life.leaving(MOST_IN_ROUND - sum(map(len, steering))) if self._life else ())]
 
@@ -92,23 +92,26 @@ class ProcessAgent:
         return tau, self.values
 
     def _repeat(self) -> None:
-        """This process is a copy by fork, and the program belongs to the first one: start it again, with all that came."""
+        """Start the program again, with all that came: this process is a copy by fork, and it belongs to the first."""
         self._owner, self._life = os.getpid(), None
         for now_ns, packets in self._history:
-            self._step(now_ns, packets, tell=False)
-            if self._life is not None:
-                self._life.leaving(sys.maxsize)
+            life = self._step(now_ns, packets, tell=False)
+            life.leaving(sys.maxsize)
 
-    def _step(self, now_ns: int, packets: list[Delivery], tell: bool) -> None:
+    def _step(self, now_ns: int, packets: list[Delivery], tell: bool) -> _Life:
         if self._life is None:
             self._life = _Life(self._config, self._words, self._environment, self._files, self._book, now_ns)
-        for at_ns, stream, text in self._life.step(now_ns, packets):
+        life = self._life
+        for at_ns, stream, text in life.step(now_ns, packets):
             for each in self.reads if stream == "out" else ():
                 if (value := each.read(text)) is not None:
                     self.values[each.name] = value
             if tell:
                 self._said.append(Said(at_ns, stream, text if len(text) <= 1000 else text[:999] + "…"))
-                self._write_line(f"{at_ns / NS:.3f} {text}" if stream == "out" else f"{at_ns / NS:.3f} {stream}: {text}")
+                self._write_line(
+                    f"{at_ns / NS:.3f} {text}" if stream == "out" else f"{at_ns / NS:.3f} {stream}: {text}"
+                )
+        return life
 
     def take_said(self) -> Sequence[Said]:
         """The lines that the program has printed since the last call, and how it ended."""
@@ -138,7 +141,11 @@ class _AddressBook:
                     return self._given[key]
         if v4:
             a, b, c, d = ip[12:]
-            if a >> 4 == 14 or ip[12:] == b"\xff\xff\xff\xff" or (a == 10 and b == 0 and d == 255 and (c == 0 or c == 255)):
+            if (
+                a >> 4 == 14
+                or ip[12:] == b"\xff\xff\xff\xff"
+                or (a == 10 and b == 0 and d == 255 and (c == 0 or c == 255))
+            ):
                 return EVERYBODY
             if a == 127:
                 return self.own
@@ -250,7 +257,7 @@ class _Life:
             self.streams.told(process.pid, kind, data, self._book.agent)
 
     def _send(self, process: Process, data: bytes) -> None:
-        from_ip, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)
+        _, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)
         agent = self._book.agent(to_ip, to_port)
         here = is_own(to_ip, self._id)
         if here:

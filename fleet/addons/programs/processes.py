@@ -33,6 +33,7 @@ MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
 _HEAD = struct.Struct("<IB")
+_OF_EVERYBODY = ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -119,7 +120,7 @@ class Processes:
         try:
             self._popen = subprocess.Popen(
                 [*map(str, start)],
-                env=_environment(seed) | environment,
+                env=_environment(seed) | dict(environment),
                 pass_fds=[its.fileno(), out, err],
                 stdin=subprocess.DEVNULL,
             )
@@ -182,13 +183,15 @@ class Processes:
         chance = (self._seed * 1_000_003 + process.pid * 101 + process.executions) & (2**64 - 1)
         prefix = 24 if self._agents < 255 else 16
         numbers = (self.now_ns, self._tick_ns, self._epoch_ns, chance)
-        head = _CONFIGURATION.pack(*numbers, process.pid, process.parent or 1, self._agent, prefix, self._agents, self._flags)
+        head = _CONFIGURATION.pack(
+            *numbers, process.pid, process.parent or 1, self._agent, prefix, self._agents, self._flags
+        )
         return head + b"\0".join([os.fsencode(self.home), *map(os.fsencode, self._visible)]) + b"\0\0"
 
     # What the agent calls.
 
     def advance(self, until_ns: int, before_last: Callable[[], object] | None = None) -> None:
-        """Let time pass up to a moment, and each timer come at its own. Messages that were sent before come at the first one.
+        """Let time pass up to a moment, each timer at its own. What was sent before comes at the first one.
 
         Args:
             until_ns: the moment [ns].
@@ -459,7 +462,7 @@ def _visible(command: Sequence[str]) -> list[str]:
             found.append(str(each))
             folder = each if each.is_dir() else each.parent
             found.append(str(folder.parent if folder.name == "bin" else folder))
-    return [folder for folder in dict.fromkeys(found) if folder not in ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")]
+    return [folder for folder in dict.fromkeys(found) if folder not in _OF_EVERYBODY]
 
 
 def _group(leader: int) -> list[int]:
@@ -479,5 +482,3 @@ def _cpu_s(pid: int) -> float:
     except OSError:
         return 0.0
     return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
-
-

@@ -86,8 +86,8 @@ class Streams:
             agent_of: the agent at an address and port; None: nobody.
         """
         if kind == 0:
-            for end in [each for each in self._ends.values() if each.owner == process and not each.closed]:
-                self._close(end, unread=False)
+            for own in [each for each in self._ends.values() if each.owner == process and not each.closed]:
+                self._close(own, unread=False)
             return
         connection = int.from_bytes(data[:8], "little")
         if kind == 65:  # A: connect
@@ -299,9 +299,8 @@ class Streams:
         window = max(0, WINDOW - end.waiting)
         at = end.next if sequence is None else sequence
         # The other end's number of the connection differs in its last bit.
-        self._send(
-            Segment(end.agent, end.from_port, end.to_port, kind, end.connection ^ 1, at, end.expected, window, end.v6, data)
-        )
+        ports, other = (end.from_port, end.to_port), end.connection ^ 1
+        self._send(Segment(end.agent, *ports, kind, other, at, end.expected, window, end.v6, data))
 
     def _pump(self, end: End) -> None:
         most = 1440 if end.v6 else 1460

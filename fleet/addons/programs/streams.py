@@ -256,6 +256,7 @@ class Streams:
             del end.unsent[:data]
             end.first, end.next = segment.acknowledged, max(end.next, segment.acknowledged)
             end.tries = end.same = 0
+            end.rto_ns = _time_out(end)  # what was doubled is so no more, as in Linux: its segments have time stamps
             end.due_ns = self.now_ns + end.rto_ns if end.first < end.next else None
             if data:
                 self._acknowledge(end, data)
@@ -274,7 +275,6 @@ class Streams:
         else:
             end.deviation_ns = (3 * end.deviation_ns + abs(end.smooth_ns - took_ns)) // 4
             end.smooth_ns = (7 * end.smooth_ns + took_ns) // 8
-        end.rto_ns = min(MOST_RTO_NS, max(LEAST_RTO_NS, end.smooth_ns + 4 * end.deviation_ns))
 
     def _arrived(self, end: End, segment: Segment) -> None:
         if segment.kind == FIN:
@@ -355,6 +355,12 @@ class Streams:
     def busy(self) -> bool:
         """Whether something is on its way or will be sent again."""
         return any(end.due_ns is not None for end in self._ends.values())
+
+
+def _time_out(end: End) -> int:
+    if not end.smooth_ns:
+        return FIRST_RTO_NS
+    return min(MOST_RTO_NS, max(LEAST_RTO_NS, end.smooth_ns + 4 * end.deviation_ns))
 
 
 def _reset(src: int, of: Segment) -> Segment:

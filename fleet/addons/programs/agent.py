@@ -35,7 +35,7 @@ from fleet.addons.programs.executables import obstacle
 from fleet.addons.programs.import_space import ImportSpace
 from fleet.addons.programs.library import NoLibraryError, compiled
 from fleet.addons.programs.line_signal import NOTHING_YET, LineSignal
-from fleet.addons.programs.process_agent import ProcessAgent
+from fleet.addons.programs.process_agent import ProcessAgent, epoch_ns
 from fleet.addons.programs.ros_packages import interface
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
@@ -51,7 +51,7 @@ ZENOH, DATAGRAM, ROS = "zenoh", "udp", "ros"  # kinds of payloads
 BUDGET_S = 10.0  # of computing in one turn, unless the scenario has a budget of its own
 TOKENS_NS = 500_000_000  # how often tokens are told again
 _PARAMETERS = ("arguments", "signals", "addresses", "order", "cost", "shared")  # of a program on stand-ins
-_OF_PROCESSES = ("process", "interpreter", "arguments", "signals", "addresses", "env", "files")
+_OF_PROCESSES = ("process", "interpreter", "arguments", "signals", "addresses", "env", "files", "epoch")
 
 
 class ProgramFailed(FleetError):
@@ -98,6 +98,10 @@ def _process_class(path: Path, parameters: Mapping[str, Any], lines: tuple[LineS
         raise _wrong(
             path, "it cannot be executed", "chmod +x, or say by which interpreter, such as `interpreter: node`"
         )
+    try:
+        epoch_ns(str(parameters.get("epoch") or "2026-01-01"))
+    except ValueError as error:
+        raise _wrong(path, f"epoch: {error}", "write a date and a time, such as 2026-06-01T12:00:00") from None
     try:
         compiled()
     except NoLibraryError as error:

@@ -8,6 +8,7 @@ import struct
 import sys
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from random import Random
@@ -43,6 +44,7 @@ class ProcessAgent:
         addresses: Mapping[str, int] | None = None,
         env: Mapping[str, Any] | None = None,
         files: Sequence[str] = (),
+        epoch: str = "",
         **_: Any,
     ) -> None:
         """Prepare the program; it is started with the agent's first tick.
@@ -54,6 +56,7 @@ class ProcessAgent:
             addresses: agents by `HOST:PORT` or `HOST`.
             env: variables of the environment.
             files: files and folders that are copied into the program's home, beside the program.
+            epoch: the time at the beginning of the run, such as `2026-06-01T12:00:00`, in UTC; "": 2026-01-01.
         """
         self._config, self._tick_ns = config, config.tick_ns
         words = {"id": config.id, "seed": config.seed}
@@ -63,6 +66,7 @@ class ProcessAgent:
         self._files = [path if path.is_absolute() else folder / path for path in map(Path, files)]
         self._book = _AddressBook(config, addresses or {})
         self._formation = FormationAgent(config)
+        self._epoch_ns = epoch_ns(epoch) if epoch else EPOCH_NS
         self._life: _Life | None = None
         self._owner = os.getpid()
         self._history: list[tuple[int, list[Delivery]]] = []
@@ -100,7 +104,9 @@ class ProcessAgent:
 
     def _step(self, now_ns: int, packets: list[Delivery], tell: bool) -> _Life:
         if self._life is None:
-            self._life = _Life(self._config, self._words, self._environment, self._files, self._book, now_ns)
+            self._life = _Life(
+                self._config, self._words, self._environment, self._files, self._book, now_ns, self._epoch_ns
+            )
         life = self._life
         for at_ns, stream, text in life.step(now_ns, packets):
             for each in self.reads if stream == "out" else ():
@@ -168,6 +174,7 @@ class _Life:
         files: Sequence[Path],
         book: _AddressBook,
         now_ns: int,
+        epoch: int,
     ) -> None:
         self._id, self._book = config.id, book
         self._out: deque[bytes] = deque()
@@ -177,7 +184,7 @@ class _Life:
         self.streams = Streams(config.id, lambda segment: self._put(segment.packed()), self._to_processes)
         self.processes = Processes(
             command, environment, files, agent=config.id, agents=book.largest, tick_ns=config.tick_ns, now_ns=now_ns,
-            seed=Random(f"{config.seed}/{config.id}/{now_ns}").getrandbits(63), told=self._told, epoch_ns=EPOCH_NS,
+            seed=Random(f"{config.seed}/{config.id}/{now_ns}").getrandbits(63), told=self._told, epoch_ns=epoch,
             other_addresses=book.has_others,
         )  # fmt: skip
 
@@ -189,6 +196,8 @@ class _Life:
                 self._hear(delivery)
             return []
         processes, streams = self.processes, self.streams
+        if self._begun and not packets and not streams.busy and processes.soonest_ns > now_ns:
+            return []  # as in most ticks
         said: list[tuple[int, str, str]] = []
         try:
             if not self._begun:
@@ -292,6 +301,12 @@ def is_own(ip: bytes, agent: int) -> bool:
         return ip[12] == 127 or ip == node_address(agent, False)
     linked = ip[:2] == b"\xfe\x80" and ip[14:] == agent.to_bytes(2, "big")
     return ip == bytes(15) + b"\x01" or ip == node_address(agent, True) or linked
+
+
+def epoch_ns(text: str) -> int:
+    """A moment [ns since 1970] by its date and time in UTC. Raises ValueError: it is none."""
+    at = datetime.fromisoformat(text)
+    return round(at.replace(tzinfo=at.tzinfo or UTC).timestamp()) * NS
 
 
 _PLACE = re.compile(r"\{(id|seed)\}")

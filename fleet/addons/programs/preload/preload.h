@@ -193,6 +193,12 @@ void own_address(u8 *ip, int v6);
 u16 free_port(int type);
 int is_mine(const u8 *ip);
 
+/* options.c */
+long set_option(int descriptor, struct sock *sock, int level, int option, const void *value, socklen_t size);
+long get_option(struct sock *sock, int level, int option, void *value, socklen_t *size);
+extern const u8 v4_mapped[12];
+int get_address(const struct sockaddr *from, socklen_t size, const struct sock *sock, struct address *to);
+
 /* interfaces.c */
 long interface_ioctl(unsigned long request, void *argument);
 long open_routes(int flags);

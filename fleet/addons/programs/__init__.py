@@ -1,1 +1,1 @@
-"""Programs of others as agents in lockstep: unchanged, on stand-ins for time, threads, sockets, zenoh and asyncio."""
+"""Programs of others as agents in lockstep, unchanged: real processes in simulated time, or Python on stand-ins."""

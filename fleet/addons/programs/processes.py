@@ -30,6 +30,7 @@ MEMORY_MB = 0  # of address space; 0: any, since some run times reserve terabyte
 CPU_S = 10.0  # of computing in one turn
 STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
 MOST_TURNS = 20_000  # of one moment: processes that wake each other without an end
+_COUNTERS = ("rchar", "wchar", "syscr", "syscw", "read_bytes", "write_bytes", "cancelled_write_bytes")  # of /proc
 MOST_SWEPT = 64  # old homes that a new one looks at
 MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
@@ -162,6 +163,10 @@ class Processes:
             "dev": "Inter-| Receive | Transmit\n face |bytes packets errs drop fifo frame compressed multicast|"
             "bytes packets errs drop fifo colls carrier compressed\n"
             + "".join(f"  {name}: {' '.join('0' * 16)}\n" for name in ("lo", "auv0")),
+            "self_stat": f"{1000 + self._agent} (program) S 1 1000 1000 0 -1 0 0 0 0 0 0 0 0 0 20 0 1 0 100000 "
+            f"268435456 16384 {2**64 - 1} 1 1 0 0 0 0 0 0 0 0 0 0 17 0 0 0 0 0 0 0 0 0 0 0 0 0 0\n",
+            "self_statm": "65536 16384 4096 1 0 16384 0\n",
+            "self_io": "".join(f"{name}: 0\n" for name in _COUNTERS),
             "empty": "",
         }
         for name, text in texts.items():

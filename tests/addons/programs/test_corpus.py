@@ -23,6 +23,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
+from world.plugins.trust import trusting
 
 CORPUS = Path(__file__).parent / "corpus"
 ENTRIES: list[dict[str, Any]] = json.loads((CORPUS / "programs.json").read_text("utf-8"))
@@ -93,10 +94,13 @@ def test_it_does_its_work_and_repeats(entry: dict[str, Any], tmp_path: Path) -> 
         return
     assert first.status is Status.PASS, (first.reason, text[-2000:])
     assert not [line for line in entry["expect"] if not re.search(line, text, re.MULTILINE)], text[-2000:]
+    if entry.get("reads_host"):
+        return  # it sends figures of the host, such as the memory that it has
     assert fleet.run(path, out=tmp_path / "runs", trust=True).digest == first.digest
     if entry["needs"]:
-        options = Options(tmp_path / "runs", quiet=True)
-        assert execute(load_scenario(str(path)), options).digest == first.digest
+        with trusting(True):
+            distributed = execute(load_scenario(str(path)), Options(tmp_path / "runs", quiet=True))
+        assert distributed.digest == first.digest
         path = scenario(entry, tmp_path, "20%")
         once, again = (fleet.run(path, out=tmp_path / "runs", trust=True) for _ in range(2))
         assert once.digest == again.digest and printed(once) == printed(again)

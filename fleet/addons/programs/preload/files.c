@@ -21,7 +21,8 @@ static const struct { const char *path, *name; } written[] = {
     {"/proc/meminfo", "meminfo"}, {"/proc/uptime", "uptime"}, {"/proc/loadavg", "loadavg"}, {"/proc/stat", "stat"},
     {"/proc/sys/kernel/hostname", "hostname"}, {"/proc/sys/kernel/random/boot_id", "boot_id"},
     {"/sys/devices/system/cpu/online", "processors"}, {"/sys/devices/system/cpu/possible", "processors"},
-    {"/proc/net/route", "route"}, {"/proc/net/dev", "dev"}, {"/proc/net/if_inet6", "empty"}};
+    {"/proc/self/stat", "self_stat"}, {"/proc/self/statm", "self_statm"}, {"/proc/self/io", "self_io"},
+    {"/proc/self/schedstat", "empty"}, {"/proc/net/route", "route"}, {"/proc/net/dev", "dev"}, {"/proc/net/if_inet6", "empty"}};
 
 static int below(const char *path, const char *folder, size_t n) {
   return !strncmp(path, folder, n) && (path[n] == '/' || !path[n]);
@@ -101,6 +102,13 @@ const char *real_path(const char *path, char *buffer) {
     memcpy(whole, path, strlen(path) + 1);
     if (strstr(path, "//") || strstr(path, "/.")) normalise(whole);
   }
+  char number[32];
+  int digits = snprintf(number, sizeof number, "/proc/%u", config.pid);
+  if (below(whole, number, digits)) { /* its own number is ours; the kernel knows it by another one */
+    memmove(whole + strlen("/proc/self"), whole + digits, strlen(whole + digits) + 1);
+    memcpy(whole, "/proc/self", strlen("/proc/self"));
+    path = whole;
+  }
   for (size_t k = 0; k < LENGTH(written); k++)
     if (!strcmp(whole, written[k].path)) {
       static char name[64];
@@ -116,14 +124,7 @@ const char *real_path(const char *path, char *buffer) {
       const char *found = joined(buffer, home, rest);
       return found ? found : path;
     }
-  char own[32];
-  int n = snprintf(own, sizeof own, "/proc/%u", config.pid);
-  if (below(whole, own, n)) {
-    static char rest[8192];
-    snprintf(rest, sizeof rest, "/proc/self%s", whole + n);
-    const char *found = joined(buffer, rest, "");
-    return found ? found : path;
-  }
+  if (path == whole) return joined(buffer, whole, "") ? buffer : path;
   if (*path == '/') return path;
   return joined(buffer, whole, "") ? buffer : path;
 }

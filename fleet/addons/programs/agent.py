@@ -88,7 +88,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProgramAgen
 
 
 def _process_class(path: Path, parameters: Mapping[str, Any], lines: tuple[LineSignal, ...]) -> type[ProcessAgent]:
-    interpreter = parameters.get("interpreter") or (sys.executable if path.suffix == ".py" else "")
+    interpreter = parameters.get("interpreter") or (_own_python() if path.suffix == ".py" else "")
     found = shutil.which(interpreter) if interpreter else None
     if interpreter and found is None:
         raise _wrong(path, f"interpreter: there is no command {interpreter!r}", "give its path, or install it")
@@ -114,6 +114,15 @@ def _process_class(path: Path, parameters: Mapping[str, Any], lines: tuple[LineS
         signals = tuple(Signal(each.name, "1", "as the program printed it last; -1 before") for each in lines)
 
     return Program
+
+
+def _own_python() -> str:
+    """This Python, by one name: `sys.executable` has the name by which a process was started, `python` or `python3`.
+
+    A name of another length moves what the program has in its memory, and so the order of its sets.
+    """
+    own = Path(sys.prefix, "bin", f"python{sys.version_info.major}")
+    return str(own) if own.is_file() else sys.executable
 
 
 def _wrong(path: Path, problem: str, hint: str = "") -> PluginError:

@@ -367,7 +367,12 @@ def test_a_copy_of_an_agent_starts_its_program_again(tmp_path: Path, run: RunPro
 
     before, expected = texts(0, 50), texts(50, 100)
     again = make_agent(load_scenario("own.yaml").agent_config(1))
+    others = [agent]
     agent, program = again, again
     assert texts(0, 50) == before
+    first = program._user._life
     program._user._owner -= 1  # as it is in a copy by fork
     assert texts(50, 100) == expected and len(before) == len(expected) == 5
+    first.processes.close()
+    for each in (program, *others):
+        each._user._life.processes.close()

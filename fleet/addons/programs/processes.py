@@ -36,6 +36,7 @@ MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
 _HEAD = struct.Struct("<IB")
+_KEPT = ("PATH", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")  # of our own environment; else runs would depend on it
 _OF_EVERYBODY = ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
@@ -123,7 +124,7 @@ class Processes:
         try:
             self._popen = subprocess.Popen(
                 [*map(str, start)],
-                env=_environment(seed) | dict(environment),
+                env=dict(sorted((_environment(seed) | dict(environment)).items())),  # its order is seen in memory
                 pass_fds=[its.fileno(), out, err],
                 stdin=subprocess.DEVNULL,
             )
@@ -481,10 +482,10 @@ class _Text:
 
 def _environment(seed: int) -> dict[str, str]:
     """What every program finds in its environment."""
-    kept = {key: value for key, value in os.environ.items() if key == "PATH" or key.startswith("OPENBLAS_")}
+    kept = {key: value for key, value in os.environ.items() if key in _KEPT}
     return kept | {
         "HOME": "/home/auv", "USER": "auv", "LOGNAME": "auv", "TMPDIR": "/tmp", "LANG": "C.UTF-8", "TZ": "UTC",
-        "PYTHONHASHSEED": str(seed % 2**32), "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
+        "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": str(seed % 2**32), "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
         "PYTHONFAULTHANDLER": "1",  # a stack when it computes without an end, or waits for ever
         "GLIBC_TUNABLES": "glibc.pthread.rseq=0",  # else the kernel writes the processor's number into each thread
         "OPENSSL_ia32cap": "~0x4000000000000000:~0x40000",  # no RDRAND and no RDSEED, which nobody can trap

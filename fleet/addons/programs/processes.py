@@ -36,7 +36,7 @@ MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
 _HEAD = struct.Struct("<IB")
-_KEPT = ("PATH", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")  # of our own environment; else runs would depend on it
+_KEPT = ("PATH", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")  # of our environment; runs depend on the rest no more
 _OF_EVERYBODY = ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
@@ -120,11 +120,12 @@ class Processes:
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
         out, err = (text.file for text in self._texts)
+        variables = _environment(seed) | dict(environment)
         start = [launcher, its.fileno(), out, err, self.home, library, MEMORY_MB, "--", *command]
         try:
             self._popen = subprocess.Popen(
                 [*map(str, start)],
-                env=dict(sorted((_environment(seed) | dict(environment)).items())),  # its order is seen in memory
+                env=dict(sorted(variables.items())),  # its order is seen in memory
                 pass_fds=[its.fileno(), out, err],
                 stdin=subprocess.DEVNULL,
             )

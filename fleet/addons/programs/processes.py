@@ -486,7 +486,8 @@ def _environment(seed: int) -> dict[str, str]:
     kept = {key: value for key, value in os.environ.items() if key in _KEPT}
     return kept | {
         "HOME": "/home/auv", "USER": "auv", "LOGNAME": "auv", "TMPDIR": "/tmp", "LANG": "C.UTF-8", "TZ": "UTC",
-        "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": str(seed % 2**32), "PYTHONUNBUFFERED": "1", "PYTHONDONTWRITEBYTECODE": "1",
+        "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": str(seed % 2**32), "PYTHONUNBUFFERED": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
         "PYTHONFAULTHANDLER": "1",  # a stack when it computes without an end, or waits for ever
         "GLIBC_TUNABLES": "glibc.pthread.rseq=0",  # else the kernel writes the processor's number into each thread
         "OPENSSL_ia32cap": "~0x4000000000000000:~0x40000",  # no RDRAND and no RDSEED, which nobody can trap

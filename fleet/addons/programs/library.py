@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import shutil
 import subprocess
-import tempfile
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 from fleet.errors import FleetError
+from netem.private_folder import PrivateFolder
 
 SOURCES = Path(__file__).parent / "preload"
 LIBRARY, LAUNCHER = "libfleet_preload.so", "fleet_launch"
@@ -62,21 +62,19 @@ def _run(command: list[str]) -> None:
 
 def _compile_into(folder: Path) -> None:
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=".compiling-", dir=folder.parent))
-    try:
-        compile_preload(temporary)
+    with PrivateFolder("compiling", folder.parent) as temporary:
+        new = temporary / "new"
+        new.mkdir()
         try:
-            temporary.rename(folder)  # whole or not at all: several processes may compile at the same time
-        except OSError:
-            shutil.rmtree(temporary, ignore_errors=True)
-    except FileNotFoundError as error:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise NoLibraryError(
-            f"programs in simulated time need a C compiler, and there is no {error.filename}: install gcc, or set CC"
-        ) from None
-    except subprocess.CalledProcessError as error:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise NoLibraryError(f"the library for programs does not compile: {error.stderr:.500}") from None
+            compile_preload(new)
+        except FileNotFoundError as error:
+            raise NoLibraryError(
+                f"programs in simulated time need a C compiler, and there is no {error.filename}: install gcc, or set CC"
+            ) from None
+        except subprocess.CalledProcessError as error:
+            raise NoLibraryError(f"the library for programs does not compile: {error.stderr:.500}") from None
+        with suppress(OSError):  # several processes may compile at the same time: the first one's stays
+            new.rename(folder)
 
 
 def _cache() -> Path:

@@ -12,16 +12,15 @@ import signal
 import socket
 import struct
 import subprocess
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from time import monotonic
 
 from fleet.addons.programs.library import compiled
 from fleet.errors import FleetError
+from netem.private_folder import PrivateFolder
 
 NEVER = 2**63 - 1
 EPOCH_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00 UTC
@@ -31,7 +30,6 @@ CPU_S = 10.0  # of computing in one turn
 STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
 MOST_TURNS = 20_000  # of one moment: processes that wake each other without an end
 _COUNTERS = ("rchar", "wchar", "syscr", "syscw", "read_bytes", "write_bytes", "cancelled_write_bytes")  # of /proc
-MOST_SWEPT = 64  # old homes that a new one looks at
 MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
@@ -107,7 +105,9 @@ class Processes:
         self._owner = os.getpid()
         self._agent, self._agents, self._seed, self._tick_ns, self._epoch_ns = agent, agents, seed, tick_ns, epoch_ns
         self.now_ns, self._told, self._flags = now_ns, told, int(other_addresses)
-        self.home, self._lock = _new_home()
+        self._folder = PrivateFolder("home")
+        self.home = self._folder.path / "home"
+        self.home.mkdir()
         self._processes: dict[int, Process] = {}
         self._next_pid = 1000 + agent
         self._gone: list[int] = []
@@ -401,7 +401,7 @@ class Processes:
 
     def close(self) -> None:
         """End all that runs, and delete the home. In a copy of the process that has started it: nothing."""
-        if os.getpid() != self._owner or self._lock < 0:
+        if os.getpid() != self._owner or self._folder.lock < 0:
             return
         popen = getattr(self, "_popen", None)
         if popen is not None:
@@ -418,35 +418,7 @@ class Processes:
         self._processes.clear()
         for text in self._texts:
             text.close()
-        shutil.rmtree(self.home, ignore_errors=True)
-        os.close(self._lock)
-        self._lock = -1
-
-
-def _new_home() -> tuple[Path, int]:
-    """A fresh folder, and a descriptor whose lock says that somebody uses it.
-
-    Homes of agents that were killed lie about: each new one takes some of those away that nobody has locked.
-    """
-    base = Path(tempfile.gettempdir()) / f"fleet-homes-{os.getuid()}"
-    base.mkdir(mode=0o700, exist_ok=True)
-    if base.is_symlink() or base.stat().st_uid != os.getuid():
-        raise ProgramEnded(f"{base} belongs to somebody else: set TMPDIR to a folder of yours")
-    for old in islice(base.iterdir(), MOST_SWEPT):
-        with suppress(OSError):
-            lock = os.open(old, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(old, ignore_errors=True)
-            finally:
-                os.close(lock)
-    while True:
-        home = Path(tempfile.mkdtemp(dir=base))
-        lock = os.open(home, os.O_RDONLY | os.O_DIRECTORY)
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if home.exists():  # nobody has taken it away before it was locked
-            return home, lock
-        os.close(lock)
+        self._folder.close()
 
 
 class _Text:

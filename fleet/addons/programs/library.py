@@ -43,7 +43,10 @@ def compiled() -> tuple[Path, Path]:
         return SOURCES / LIBRARY, SOURCES / LAUNCHER
     folder = _cache() / _mark()
     if not (folder / LIBRARY).is_file():
-        _compile_into(folder)
+        try:
+            _compile_into(folder)
+        except OSError as error:
+            raise NoLibraryError(f"the library for programs cannot be put into {folder.parent}: {error}") from None
     return folder / LIBRARY, folder / LAUNCHER
 
 
@@ -69,7 +72,7 @@ def _compile_into(folder: Path) -> None:
             compile_preload(new)
         except FileNotFoundError as error:
             raise NoLibraryError(
-                f"programs in simulated time need a C compiler, and there is no {error.filename}: install gcc, or set CC"
+                f"programs in simulated time need a C compiler, there is no {error.filename}: install gcc, or set CC"
             ) from None
         except subprocess.CalledProcessError as error:
             raise NoLibraryError(f"the library for programs does not compile: {error.stderr:.500}") from None

@@ -12,6 +12,7 @@ import signal
 import socket
 import struct
 import subprocess
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -115,7 +116,7 @@ class Processes:
         self.refused = ""  # what the library has refused, in its words
         self._texts = [_Text(), _Text()]
         self._furnish(files)
-        self._visible = _visible(command)
+        self._visible = _visible([*command, *environment.values()])
         ours, its = socket.socketpair()
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
@@ -467,8 +468,8 @@ def _environment(seed: int) -> dict[str, str]:
 
 
 def _visible(command: Sequence[str]) -> list[str]:
-    """Folders below /tmp and the like that the program is to see: its own file, its Python, and what it is told."""
-    found: list[str] = []
+    """Folders below /tmp and the like that the program is to see: its own file, this Python, and what it is told of."""
+    found = [sys.prefix, sys.base_prefix]
     paths = [Path(word) for word in command if word.startswith("/")]
     if found_in_path := shutil.which(command[0]):
         paths.append(Path(found_in_path))

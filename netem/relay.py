@@ -14,7 +14,7 @@ from heapq import heappop, heappush
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from netem.acoustic import AcousticChannel
 from netem.cause import Cause
@@ -28,10 +28,10 @@ from netem.limits import LINK_UNDER_WAY
 from netem.links import make_links
 from netem.medium import IndependentLinks, MediumRound, Place
 from netem.network import fate_order
+from netem.robot_message import MODEM, PUT, RobotMessage
 from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
 
-PUT, DELETE, QUERY, REPLY, DATAGRAM, MODEM = ("put", "delete", "query", "reply", "datagram", "modem")
 _MOST_BEGUN = 10_000  # transmissions of modems whose beginnings are remembered
 _SPOILED = frozenset({Cause.COLLISION, Cause.SNR})  # what a receiver's modem notices
 
@@ -42,19 +42,6 @@ class MessageFate(Fate, frozen=True):
     key: str = ""  # zenoh's, `udp/<port>`, or `modem/<address>/<protocol>`
     kind: str = PUT
     size: int = 0  # bytes, with the header
-
-
-class RobotMessage(Struct):
-    """A message, query or reply of a program of a robot."""
-
-    src: int
-    kind: str
-    key: str
-    payload: bytes
-    at_ns: int  # when the message arrived here [CLOCK_MONOTONIC]
-    what: Any = None  # zenoh's own sample, query or reply, or what the process needs to hand it over
-    to: int | None = None  # the only receiver; None: all neighbours
-    number: int = 0  # counts messages in the order in which the relay took them
 
 
 class PacketPart(NamedTuple):

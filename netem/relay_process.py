@@ -29,12 +29,14 @@ from netem.endpoint import ModemEndpoint, ModemRequest, Sea
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
-from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, QUERIES_WAITING, RELAY_WAITING
-from netem.relay import DATAGRAM, MODEM, PUT, QUERY, REPLY, DueMessage, MessageFate, Relay, RobotMessage
+from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, RELAY_WAITING
+from netem.relay import DueMessage, MessageFate, Relay
 from netem.relay_messages import LoggedMessage, Opened, Port, RelayReport, Setup, WatchedMessage
+from netem.robot_message import DATAGRAM, MODEM, PUT, QUERY, REPLY, RobotMessage
 from netem.wire import robots
+from netem.wire.queries import OpenQueries, Ticket
 from netem.wire.robot_queues import Inlet
-from netem.wire.robots import Robot, Ticket, Token, Unfit
+from netem.wire.robots import Robot, Token, Unfit
 from netem.wire.session import quiet_zenoh
 
 MOST_KEPT_BYTES = 1_000_000  # the bytes of a longer message are not logged
@@ -105,9 +107,8 @@ class RelayProcess:
         self._faults: Any = None  # those that the console gave last; None: those of the settings
         self._inlets = {access.number: Inlet(queue.put) for access in setup.robots}
         self._refused: Counter[int] = Counter()  # by robot: messages that found no room on their way here
-        self._waiting: dict[Ticket, int] = {}  # oldest first, with the bytes of its query; without us it would end
-        self._waiting_bytes = 0
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
+        self._queries = OpenQueries(self._hearers, self._end_query)
         self._kept_ns: dict[int, int] = {}  # by robot: how long it let a message wait at most
         self._untaken: Counter[int] = Counter()  # by robot: messages that it did not take
         self._told: set[str] = set()
@@ -288,18 +289,13 @@ class RelayProcess:
     def _message(self, item: Any) -> None:
         message = robots.read(item)
         if message is None:
-            item.ticket.ended.add(item.robot)
-            self._finish(item.ticket)
+            self._queries.ended(item.ticket, item.robot)
             return
         self._inlets[message.src].release(len(message.payload))
         if message.kind == QUERY:
-            self._waiting[message.what] = len(message.payload)
-            self._waiting_bytes += len(message.payload)
-            while len(self._waiting) > QUERIES_WAITING.items or self._waiting_bytes > QUERIES_WAITING.bytes:
-                self._end_query(next(iter(self._waiting)))  # who asked has probably given up long ago
+            self._queries.begin(message.what, len(message.payload))
         elif message.kind == REPLY:
-            ticket = message.what[0]
-            ticket.sent[message.src] = ticket.sent.get(message.src, 0) + 1
+            self._queries.sent(message.what[0], message.src)
         self._send_message(message)
 
     def _send_message(self, message: RobotMessage) -> None:
@@ -316,19 +312,12 @@ class RelayProcess:
                 what = name if isinstance(name, Unfit) else Unfit(PUT, "", 0)
                 self._refused[src] += count
                 if what.ticket is not None:
-                    what.ticket.sent[src] = what.ticket.sent.get(src, 0) + count
+                    self._queries.sent(what.ticket, src, count)
                 for _ in range(count):
                     message = RobotMessage(src, what.kind, what.key, b"", monotonic_ns(), to=what.to)
                     self._relay.refuse(message, what.size)
 
-    def _finish(self, ticket: Ticket) -> None:
-        """End a query whose answers are all there. If one of them was lost, the asker waits for its own time-out."""
-        complete = all(ticket.arrived.get(i, 0) >= n for i, n in ticket.sent.items())
-        if complete and ticket.ended >= self._hearers.get(ticket.asker, set()):
-            self._end_query(ticket)
-
     def _end_query(self, ticket: Ticket) -> None:
-        self._waiting_bytes -= self._waiting.pop(ticket, 0)
         self._robots[ticket.asker].outlet.do(ticket.end)  # behind its answers
 
     def _asked(self, request: dict[str, Any]) -> None:
@@ -385,9 +374,7 @@ class RelayProcess:
         if not robot.outlet.offer(due, due.due_ns, len(payload), hand):
             return False
         if message.kind == REPLY:
-            ticket = message.what[0]
-            ticket.arrived[message.src] = ticket.arrived.get(message.src, 0) + 1
-            self._finish(ticket)
+            self._queries.arrived(message.what[0], message.src)
         return True
 
     def _sent(self, due: DueMessage) -> bool:

@@ -12,18 +12,18 @@ import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from threading import current_thread
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
-import psutil
 import zenoh
 
 from netem.errors import BusError
 from netem.limits import TOKENS
-from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
+from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
+from netem.wire.queries import Ticket
 from netem.wire.robot_queues import Inlet, Outlet
 from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, client_settings, listening, opened, reason
 
@@ -64,23 +64,6 @@ class RobotEndpoint:
     listen: str = ""
     connect: str = ""
     config: str = ""  # a file of zenoh's configuration, for TLS and credentials
-
-
-@dataclass(slots=True, eq=False)
-class Ticket:
-    """A query of a robot's program that waits for its answers."""
-
-    query: Any  # zenoh's own; None: it has ended
-    asker: int
-    sent: dict[int, int] = field(default_factory=dict)  # replies by robot that went into a link
-    arrived: dict[int, int] = field(default_factory=dict)
-    ended: set[int] = field(default_factory=set)  # robots of which no reply will come any more
-
-    def end(self) -> None:
-        """Tell who asked that there will be no more answers."""
-        if self.query is not None:
-            self.query.drop()
-            self.query = None  # the query also holds its payload
 
 
 class Token(NamedTuple):
@@ -430,6 +413,8 @@ def _direct(handler: Callable[[Any], None]) -> Any:
 
 def _listened() -> set[int]:
     """The ports of TCP that this process listens on."""
+    import psutil  # here, because it is long to load, and few robots have a port that the system chooses
+
     return {one.laddr.port for one in psutil.Process().net_connections("tcp") if one.status == psutil.CONN_LISTEN}
 
 

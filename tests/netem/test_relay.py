@@ -19,7 +19,8 @@ from netem.faults import NetFault
 from netem.limits import LINK_UNDER_WAY
 from netem.modem import AcousticConfig, Modem
 from netem.network import Netem
-from netem.relay import PUT, REPLY, DueMessage, MessageFate, Relay, RobotMessage
+from netem.relay import DueMessage, MessageFate, Relay
+from netem.robot_message import PUT, REPLY, RobotMessage
 
 TICK_NS = 1_000_000
 BEGIN_NS = 5_000_000_000

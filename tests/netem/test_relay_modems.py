@@ -13,7 +13,8 @@ from netem.config import NetemConfig
 from netem.endpoint import HeardFrame, ModemRequest, Sea, SentFrame, Sound
 from netem.faults import NetFault
 from netem.modem import AcousticConfig, Modem
-from netem.relay import MODEM, Relay, RobotMessage
+from netem.relay import Relay
+from netem.robot_message import MODEM, RobotMessage
 
 TICK_NS, BEGIN_NS = 10_000_000, 5_000_000_000
 PERFECT = Condition()

@@ -22,9 +22,10 @@ from netem.cause import Cause
 from netem.config import NetemConfig
 from netem.faults import NetFault, fault_values
 from netem.limits import RELAY_WAITING, ROBOT_WAITING
-from netem.relay import DATAGRAM, PUT, MessageFate, RobotMessage
+from netem.relay import MessageFate
 from netem.relay_messages import Port, RelayReport, Setup, Watched, WatchedMessage
 from netem.relay_process import RelayProcess
+from netem.robot_message import DATAGRAM, PUT, RobotMessage
 from netem.wire import robot_queues
 from netem.wire.robot_queues import Inlet, Outlet
 from netem.wire.robots import RobotEndpoint, Token, Unfit

@@ -23,7 +23,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.trace_table import TraceTable, read_trace
 from fleet.scenario.text.yaml_writer import inline
 from netem.limits import TRACE
-from netem.relay import PUT, Relay, RobotMessage
+from netem.relay import Relay
+from netem.robot_message import PUT, RobotMessage
 from netem.wire.open_bus import ZenohSample
 
 WALL_NS = 1_764_000_000 * 10**9

@@ -17,9 +17,10 @@ from stacks import program
 from waiting import wait_for
 
 from netem.errors import BusError
-from netem.relay import DELETE, PUT, QUERY, REPLY, RobotMessage
+from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
+from netem.wire.queries import Ticket
 from netem.wire.robot_queues import Inlet
-from netem.wire.robots import Robot, RobotEndpoint, Ticket, Token, read
+from netem.wire.robots import Robot, RobotEndpoint, Token, read
 from netem.wire.session import open_session
 
 LIMIT_S = 60.0

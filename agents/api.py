@@ -64,7 +64,7 @@ if sys.flags.optimize < 2 and not (agents.__doc__ or "").startswith("Agents: "):
         "into an environment of its own: uv tool install, or pipx install"
     )
 
-Telemetry = Mapping[str, float | Sequence[float]]  # by the name of a signal, in its unit
+Telemetry = Mapping[str, float | Sequence[float] | None]  # by the name of a signal, in its unit; None: not known yet
 
 
 class Controller(Protocol):

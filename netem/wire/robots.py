@@ -325,6 +325,13 @@ class Robot:
         except zenoh.ZError as error:
             raise BusError(f"cannot ask {self.name}: {reason(error)}") from None
 
+    def say(self, key: str, payload: bytes) -> None:
+        """Put something of our own, as JSON. Raises BusError: the session cannot send it."""
+        try:
+            self._session.put(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+        except zenoh.ZError as error:
+            raise BusError(f"cannot tell {self.name}: {reason(error)}") from None
+
     def hand(self, message: RobotMessage, payload: bytes) -> None:
         """Hand over what another robot's program put. Raises BusError: the session cannot send it."""
         sample = message.what

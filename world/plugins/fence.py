@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager, redirect_stdout
 from io import TextIOBase
 from itertools import islice
-from math import isfinite
+from math import isfinite, nan
 from multiprocessing import parent_process
 from time import perf_counter, thread_time
 from types import FrameType
@@ -121,6 +121,9 @@ class Fence:
             value = values[signal_.name]
             if (type(value) is float or type(value) is int) and isfinite(value) and signal_.width == 1:
                 flat.append(float(value))  # nearly all are, and the general way costs ten times as much
+                continue
+            if value is None:  # not known yet
+                flat += (nan,) * signal_.width
                 continue
             numbers = (hasattr(value, "__iter__") and numbers_of(value)) or numbers_of((value,))
             if len(numbers) != signal_.width:

@@ -35,7 +35,7 @@ from fleet.addons.programs.executables import obstacle
 from fleet.addons.programs.import_space import ImportSpace
 from fleet.addons.programs.library import NoLibraryError, compiled
 from fleet.addons.programs.line_signal import NOTHING_YET, LineSignal
-from fleet.addons.programs.process_agent import ProcessAgent, epoch_ns
+from fleet.addons.programs.process_agent import ProcessAgent, epoch_ns, own_python
 from fleet.addons.programs.ros_packages import interface
 from fleet.addons.programs.threads import thread_module, threading_module
 from fleet.addons.programs.turns import NS, Turns
@@ -88,7 +88,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProgramAgen
 
 
 def _process_class(path: Path, parameters: Mapping[str, Any], lines: tuple[LineSignal, ...]) -> type[ProcessAgent]:
-    interpreter = parameters.get("interpreter") or (_own_python() if path.suffix == ".py" else "")
+    interpreter = parameters.get("interpreter") or (own_python() if path.suffix == ".py" else "")
     found = shutil.which(interpreter) if interpreter else None
     if interpreter and found is None:
         raise _wrong(path, f"interpreter: there is no command {interpreter!r}", "give its path, or install it")
@@ -114,15 +114,6 @@ def _process_class(path: Path, parameters: Mapping[str, Any], lines: tuple[LineS
         signals = tuple(Signal(each.name, "1", "as the program printed it last; -1 before") for each in lines)
 
     return Program
-
-
-def _own_python() -> str:
-    """This Python, by one name: `sys.executable` has the name by which a process was started, `python` or `python3`.
-
-    A name of another length moves what the program has in its memory, and so the order of its sets.
-    """
-    own = Path(sys.prefix, "bin", f"python{sys.version_info.major}")
-    return str(own) if own.is_file() else sys.executable
 
 
 def _wrong(path: Path, problem: str, hint: str = "") -> PluginError:

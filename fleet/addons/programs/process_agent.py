@@ -14,10 +14,13 @@ from pathlib import Path
 from random import Random
 from typing import Any, ClassVar
 
+import fleet
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
-from fleet.addons.programs.line_signal import NOTHING_YET, LineSignal
+from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
+from fleet.addons.programs.ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
+from fleet.addons.programs.steering import Vehicle, navigation
 from fleet.addons.programs.streams import Streams
 from world.plugins.output import line_writer
 
@@ -69,8 +72,8 @@ class ProcessAgent:
         self._epoch_ns = epoch_ns(epoch) if epoch else EPOCH_NS
         self._life: _Life | None = None
         self._owner = os.getpid()
-        self._history: list[tuple[int, list[Delivery]]] = []
-        self.values = {each.name: NOTHING_YET for each in self.reads}
+        self._history: list[tuple[int, list[Delivery], Nav | None]] = []
+        self.values: dict[str, float | None] = dict.fromkeys(each.name for each in self.reads)
         self._said: list[Said] = []
         self._write_line = line_writer(f"agent-{config.id}.log")
 
@@ -88,27 +91,28 @@ class ProcessAgent:
         """Hand over what has come, and let the program run until it waits."""
         now_ns, deliveries = nav.tick * self._tick_ns, list(deliveries)
         tau, _ = self._formation.decide(nav, deliveries)
+        steers = None if self._config.moored else nav
         packets = [each for each in deliveries if each.payload[:3] == b"\x81\x01p"]
         if os.getpid() != self._owner:
             self._repeat()
-        self._history.append((now_ns, packets))
-        self._step(now_ns, packets, tell=True)
-        return tau, self.values
+        self._history.append((now_ns, packets, steers))
+        life = self._step(now_ns, packets, steers, tell=True)
+        return life.vehicle.demand(nav) or tau, self.values
 
     def _repeat(self) -> None:
         """Start the program again, with all that came: this process is a copy by fork, and it belongs to the first."""
         self._owner, self._life = os.getpid(), None
-        for now_ns, packets in self._history:
-            life = self._step(now_ns, packets, tell=False)
+        for now_ns, packets, nav in self._history:
+            life = self._step(now_ns, packets, nav, tell=False)
             life.leaving(sys.maxsize)
 
-    def _step(self, now_ns: int, packets: list[Delivery], tell: bool) -> _Life:
+    def _step(self, now_ns: int, packets: list[Delivery], nav: Nav | None, tell: bool) -> _Life:
         if self._life is None:
             self._life = _Life(
                 self._config, self._words, self._environment, self._files, self._book, now_ns, self._epoch_ns
             )
         life = self._life
-        for at_ns, stream, text in life.step(now_ns, packets):
+        for at_ns, stream, text in life.step(now_ns, packets, nav):
             for each in self.reads if stream == "out" else ():
                 if (value := each.read(text)) is not None:
                     self.values[each.name] = value
@@ -181,22 +185,34 @@ class _Life:
         self._queued, self._dropped, self._number = 0, 0, 0
         self._fragments = Fragments()
         self.over = self._begun = False
-        self.streams = Streams(config.id, lambda segment: self._put(segment.packed()), self._to_processes)
+        self._config = config
+        self._helper: int | None = None  # the family of the zenoh endpoint; None: nobody has asked for it
+        self._wanted = self._ready = False  # the endpoint, and whether it listens
+        self.vehicle = Vehicle(config)
+        self.streams = Streams(
+            config.id, lambda segment: self._put(segment.packed()), self._to_processes, self._unanswered
+        )
         self.processes = Processes(
             command, environment, files, agent=config.id, agents=book.largest, tick_ns=config.tick_ns, now_ns=now_ns,
             seed=Random(f"{config.seed}/{config.id}/{now_ns}").getrandbits(63), told=self._told, epoch_ns=epoch,
             other_addresses=book.has_others,
         )  # fmt: skip
 
-    def step(self, now_ns: int, packets: Sequence[Delivery]) -> list[tuple[int, str, str]]:
-        """Let time pass: what has come, and what the program prints until it waits (time [ns], stream, line)."""
+    def step(self, now_ns: int, packets: Sequence[Delivery], nav: Nav | None = None) -> list[tuple[int, str, str]]:
+        """Let time pass: what has come, and what the program prints until it waits (time [ns], stream, line).
+
+        Args:
+            now_ns: the time [ns].
+            packets: payloads that have come.
+            nav: where the vehicle is, which a program may steer by; None: it is moored.
+        """
         if self.over:  # what it had written to its streams is still sent
             self.streams.tick(now_ns)
             for delivery in packets:
                 self._hear(delivery)
             return []
         processes, streams = self.processes, self.streams
-        if self._begun and not packets and not streams.busy and processes.soonest_ns > now_ns:
+        if self._begun and not packets and not streams.busy and nav is None and processes.soonest_ns > now_ns:
             return []  # as in most ticks
         said: list[tuple[int, str, str]] = []
         try:
@@ -208,7 +224,10 @@ class _Life:
             streams.tick(now_ns)
             for delivery in packets:
                 self._hear(delivery)
+            if nav is not None:
+                self._tell_own(NAVIGATION_PORT, navigation(nav, now_ns))
             processes.advance(now_ns)
+            self._serve_zenoh(now_ns)
         except ProgramEnded as error:
             said += self._lines()
             return [*said, *self._end(str(error))]
@@ -220,6 +239,32 @@ class _Life:
             said += self._lines()
             return [*said, *self._end("deadlock: no thread can ever run, and nothing is on its way to one")]
         return said
+
+    def _unanswered(self, port: int) -> bool:
+        """Nobody listens on a port of the own agent: on zenoh's there will be an endpoint."""
+        if port != ZENOH_PORT or self._ready:
+            return False
+        self._wanted = True
+        return True
+
+    def _serve_zenoh(self, now_ns: int) -> None:
+        """Start the endpoint if a program wants to connect to it, and let the program connect when it listens."""
+        if self._wanted and self._helper is None:
+            heard = [str(each.id) for each in self._config.neighbours]
+            self._helper = self.processes.begin_helper([*endpoint_command(), str(self._id), *heard])
+            self.processes.advance(now_ns)
+        if self._helper is not None and not self.processes.family_runs(self._helper):
+            raise ProgramEnded("its zenoh endpoint has ended")
+        if self._wanted and self._ready:
+            self._wanted = False
+            self.streams.processes = self.processes.count
+            self.streams.call_again()
+            self.processes.advance(now_ns)
+
+    def _tell_own(self, port: int, data: bytes) -> None:
+        """Send a datagram to the own programs, as from the own address."""
+        own = node_address(self._id, False)
+        self.processes.send(68, _ADDRESSES.pack(own, port, own, port) + data)
 
     def _why(self) -> str:
         """Why it is no good end; "": it is one."""
@@ -255,8 +300,8 @@ class _Life:
         self._out.append(payload)
         self._queued += len(payload)
 
-    def _to_processes(self, kind: int, data: bytes) -> None:
-        self.processes.send(kind, data)
+    def _to_processes(self, kind: int, data: bytes, to: int) -> None:
+        self.processes.send(kind, data, to=to)
 
     def _told(self, process: Process, kind: int, data: bytes) -> None:
         if kind == 83:  # S: a datagram
@@ -269,11 +314,17 @@ class _Life:
         _, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)
         agent = self._book.agent(to_ip, to_port)
         here = is_own(to_ip, self._id)
+        if here and to_port in (COMMAND_PORT, READY_PORT):
+            self._ready = self._ready or to_port == READY_PORT
+            self.processes.answer(process, b"U\x01")
+            if to_port == COMMAND_PORT:
+                self.vehicle.command(data[_ADDRESSES.size :])
+            return
         if here:
             elsewhere = agent not in (None, self._id)
             self.processes.answer(process, b"U" + bytes((elsewhere or self.processes.count > 1,)))
         if agent in (self._id, EVERYBODY):
-            self.processes.send(68, data, but=process.pid)
+            self._datagram(to_port, data, but=process.pid)
         if agent is not None and agent != self._id:
             to = to_ip if agent == EVERYBODY else node_address(agent, to_ip[:12] != V4)
             self._number = (self._number + 1) & 0xFFFF
@@ -292,7 +343,12 @@ class _Life:
         packet = whole
         v6 = packet.to_ip[:12] != V4
         head = _ADDRESSES.pack(node_address(delivery.src, v6), packet.from_port, packet.to_ip, packet.to_port)
-        self.processes.send(68, head + packet.data)
+        self._datagram(packet.to_port, head + packet.data)
+
+    def _datagram(self, port: int, data: bytes, but: int = 0) -> None:
+        """Hand a datagram to the processes that may listen on a port."""
+        family = None if self._helper is None else self._helper if port == WATER_PORT else 0
+        self.processes.send(68, data, but=but, family=family)
 
 
 def is_own(ip: bytes, agent: int) -> bool:
@@ -307,6 +363,22 @@ def epoch_ns(text: str) -> int:
     """A moment [ns since 1970] by its date and time in UTC. Raises ValueError: it is none."""
     at = datetime.fromisoformat(text)
     return round(at.replace(tzinfo=at.tzinfo or UTC).timestamp()) * NS
+
+
+def endpoint_command() -> list[str]:
+    """The command line of the zenoh endpoint, without its arguments."""
+    root = Path(fleet.__file__).parents[1]
+    begin = "import sys; sys.path.insert(0, sys.argv.pop(1)); import runpy; runpy.run_module(sys.argv.pop(1), None, '__main__')"
+    return [own_python(), "-P", "-c", begin, str(root), "fleet.addons.programs.zenoh_endpoint"]
+
+
+def own_python() -> str:
+    """This Python, by one name: `sys.executable` has the name by which a process was started, `python` or `python3`.
+
+    A name of another length moves what the program has in its memory, and so the order of its sets.
+    """
+    own = Path(sys.prefix, "bin", f"python{sys.version_info.major}")
+    return str(own) if own.is_file() else sys.executable
 
 
 _PLACE = re.compile(r"\{(id|seed)\}")

@@ -37,6 +37,10 @@ _CONFIGURATION = struct.Struct("<qqqQIIIIII")
 _HEAD = struct.Struct("<IB")
 _KEPT = ("PATH", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")  # of our environment; runs depend on the rest no more
 _OF_EVERYBODY = ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")
+# One thread in place of five pools of zenoh: they would wake each other, and no two threads run at a time anyway.
+_ZENOH_RUNTIME = (
+    "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), app: (worker_threads: 1))"
+)
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -50,6 +54,7 @@ class Process:
 
     pid: int  # the number that the program knows
     channel: socket.socket
+    family: int  # which first process it comes from: 0 is the program, others are helpers of ours beside it
     parent: int = 0
     deadline: int = 0
     inside: bool = False  # it waits for nothing that could come from outside
@@ -102,7 +107,6 @@ class Processes:
             NoLibraryError: programs cannot run here.
             ProgramEnded: it cannot be started.
         """
-        library, launcher = compiled()
         self._owner = os.getpid()
         self._agent, self._agents, self._seed, self._tick_ns, self._epoch_ns = agent, agents, seed, tick_ns, epoch_ns
         self.now_ns, self._told, self._flags = now_ns, told, int(other_addresses)
@@ -117,29 +121,55 @@ class Processes:
         self._texts = [_Text(), _Text()]
         self._furnish(files)
         self._visible = _visible([*command, *environment.values()])
-        ours, its = socket.socketpair()
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
-        out, err = (text.file for text in self._texts)
-        variables = _environment(seed) | dict(environment)
-        start = [launcher, its.fileno(), out, err, self.home, library, MEMORY_MB, "--", *command]
-        try:
-            self._popen = subprocess.Popen(
-                [*map(str, start)],
-                env=dict(sorted(variables.items())),  # its order is seen in memory
-                pass_fds=[its.fileno(), out, err],
-                stdin=subprocess.DEVNULL,
-            )
-        except OSError as error:
-            self.close()
-            raise ProgramEnded(f"it cannot be started: {error}") from None
-        its.close()
-        self._first = self._add(ours, 0)
-        self._first.real = self._popen.pid
+        self._popens: list[subprocess.Popen[bytes]] = []  # of the first process of each family
+        self._first = self._start(command, environment, *(text.file for text in self._texts))
 
     def begin(self) -> None:
         """Let the program run until it waits for the first time. Raises ProgramEnded, as `advance`."""
         self._read_turn(self._first)
+
+    def begin_helper(self, command: Sequence[str]) -> int:
+        """Start a program of ours beside it, with the same addresses, and let it run until it waits.
+
+        It is no part of the program: it has none of its signals, and ends with it. What it prints goes to the program's
+        errors.
+
+        Returns:
+            The helper's family, see `send`.
+
+        Raises:
+            ProgramEnded: as `advance`.
+        """
+        err = self._texts[1].file
+        self._visible += [each for each in _visible(command) if each not in self._visible]
+        process = self._start(command, {}, err, err)
+        self._read_turn(process)
+        return process.family
+
+    def _start(self, command: Sequence[str], environment: Mapping[str, str], out: int, err: int) -> Process:
+        library, launcher = compiled()
+        ours, its = socket.socketpair()
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
+        variables = _environment(self._seed) | dict(environment)
+        start = [launcher, its.fileno(), out, err, self.home, library, MEMORY_MB, "--", *command]
+        try:
+            popen = subprocess.Popen(
+                [*map(str, start)],
+                env=dict(sorted(variables.items())),  # its order is seen in memory
+                pass_fds=sorted({its.fileno(), out, err}),
+                stdin=subprocess.DEVNULL,
+            )
+        except OSError as error:
+            ours.close()
+            self.close()
+            raise ProgramEnded(f"it cannot be started: {error}") from None
+        finally:
+            its.close()
+        self._popens.append(popen)
+        process = self._add(ours, 0, len(self._popens) - 1)
+        process.real = popen.pid
+        return process
 
     def _furnish(self, files: Sequence[Path]) -> None:
         for name in (".shm", ".tmp", ".run", ".host"):
@@ -182,8 +212,8 @@ class Processes:
             else:
                 shutil.copy2(path, self.home / path.name)
 
-    def _add(self, channel: socket.socket, parent: int) -> Process:
-        process = Process(self._next_pid, channel, parent)
+    def _add(self, channel: socket.socket, parent: int, family: int) -> Process:
+        process = Process(self._next_pid, channel, family, parent)
         self._next_pid += 1000  # so that agents and their processes have numbers of their own
         self._processes[process.pid] = process
         return process
@@ -216,11 +246,24 @@ class Processes:
                 before_last()
         self._moment(until_ns)
 
-    def send(self, kind: int, data: bytes, but: int = 0) -> None:
-        """Hand a message to all processes with their next turn, in this moment. `but`: to all but one."""
+    def send(self, kind: int, data: bytes, *, to: int = 0, but: int = 0, family: int | None = None) -> None:
+        """Hand a message to processes with their next turn, in this moment.
+
+        Args:
+            kind: of the message.
+            data: its bytes.
+            to: number of the only process that gets it; 0: all.
+            but: number of one that does not get it.
+            family: only processes of this family get it; None: of all.
+        """
+        message = _HEAD.pack(1 + len(data), kind) + data
+        if to:
+            if process := self._processes.get(to):
+                process.inbox += message
+            return
         for process in self._processes.values():
-            if process.pid != but:
-                process.inbox += _HEAD.pack(1 + len(data), kind) + data
+            if process.pid != but and family in (None, process.family):
+                process.inbox += message
 
     def _moment(self, now_ns: int) -> None:
         self.now_ns = now_ns
@@ -229,10 +272,11 @@ class Processes:
             due = [p for p in self._processes.values() if p.inbox or p.deadline <= now_ns or p.did_something]
             if not due:
                 return
-            again = any(p.did_something for p in due)
+            # What one has done, such as to write into a pipe, the others of its family may be waiting for.
+            again = {p.family for p in due if p.did_something}
             for process in self._processes.values():
                 process.did_something = False
-            for process in list(self._processes.values()) if again else due:
+            for process in [p for p in self._processes.values() if p.family in again or p in due] if again else due:
                 turns += 1
                 if turns > MOST_TURNS:
                     raise ProgramEnded(f"its processes had {MOST_TURNS} turns at one moment, and none waits")
@@ -264,7 +308,7 @@ class Processes:
                     process.deadline, flags = struct.unpack("<qB", data)
                     process.inside = bool(flags & _ONLY_INSIDE)
                     did = bool(flags & _DID_SOMETHING) or process.began  # an exec closes files, too
-                    process.did_something, process.began = did and len(self._processes) > 1, False
+                    process.did_something, process.began = did and self._has_relatives(process), False
                     return
                 self._take(process, kind, data)
             try:
@@ -280,6 +324,11 @@ class Processes:
                 self._ended(process)
                 return
             buffer += data
+
+    def _has_relatives(self, process: Process) -> bool:
+        return len(self._processes) > 1 and any(
+            p.family == process.family and p is not process for p in self._processes.values()
+        )
 
     def _take(self, process: Process, kind: int, data: bytes) -> None:
         if kind == 72:  # H: the library is loaded
@@ -312,12 +361,13 @@ class Processes:
             return
         channel = socket.socket(fileno=descriptor)
         channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
-        child = self._add(channel, parent.pid)
+        child = self._add(channel, parent.pid, parent.family)
         child.deadline = 0
         self._answer(parent, b"J" + self._configuration(child))
 
     def _kill(self, sender: Process, which: int, number: int) -> bool:
-        found = [p for p in self._processes.values() if which in (p.pid, -1) or (which == -p.pid)]
+        relatives = [p for p in self._processes.values() if p.family == sender.family]
+        found = [p for p in relatives if which in (p.pid, -1) or (which == -p.pid)]
         for process in found:
             if process is sender or not number:
                 continue
@@ -339,29 +389,29 @@ class Processes:
         self._told(process, 0, b"")
         self._processes.pop(process.pid, None)
         if process is self._first:
-            self.status = self._popen.wait()
-        for other in self._processes.values():
-            other.inbox += _HEAD.pack(5, ord("C")) + process.pid.to_bytes(4, "little")
+            self.status = self._popens[0].wait()
+        self.send(ord("C"), process.pid.to_bytes(4, "little"), family=process.family)
 
     def _look_after(self, process: Process, begun: tuple[float, float] | None) -> tuple[float, float]:
         """Called each second in which a process has not answered."""
-        used = sum(map(_cpu_s, _group(self._popen.pid)))
+        leader = self._popens[process.family].pid
+        used = sum(map(_cpu_s, _group(leader)))
         if begun is None:
             return used, monotonic()
         first, since = begun
         if used - first > CPU_S:
-            self._show_stack(signal.SIGXCPU)
+            self._show_stack(leader, signal.SIGXCPU)
             raise ProgramEnded(f"it computed for {CPU_S:g} s and did not wait")
         if monotonic() - since > STUCK_S and used - first < 0.1 * CPU_S:
-            self._show_stack(signal.SIGABRT)
+            self._show_stack(leader, signal.SIGABRT)
             raise ProgramEnded("it waits in the kernel for something that is not emulated")
         return begun
 
-    def _show_stack(self, number: int) -> None:
+    def _show_stack(self, leader: int, number: int) -> None:
         with suppress(OSError):
-            os.kill(self._popen.pid, number)
+            os.kill(leader, number)
         with suppress(subprocess.TimeoutExpired):
-            self._popen.wait(3)
+            next(popen for popen in self._popens if popen.pid == leader).wait(3)
 
     @property
     def soonest_ns(self) -> int:
@@ -375,13 +425,18 @@ class Processes:
 
     @property
     def running(self) -> bool:
-        """Whether any process is left."""
-        return bool(self._processes)
+        """Whether any process of the program is left."""
+        return self.family_runs(0)
+
+    def family_runs(self, family: int) -> bool:
+        """Whether any process of a family is left, see `begin_helper`."""
+        return any(p.family == family for p in self._processes.values())
 
     @property
     def is_dead(self) -> bool:
         """Whether no thread of any process can ever run again: nothing that they wait for can come."""
-        return bool(self._processes) and all(p.inside and p.deadline == NEVER for p in self._processes.values())
+        own = [p for p in self._processes.values() if p.family == 0]
+        return bool(own) and all(p.inside and p.deadline == NEVER for p in own)
 
     def show_threads(self) -> None:
         """Let the processes print where their threads wait, and end."""
@@ -397,15 +452,15 @@ class Processes:
 
     def lines(self) -> list[tuple[str, str]]:
         """What has been printed since the last call: the stream, `out` or `err`, and a line."""
-        out = [("out", line) for line in self._texts[0].lines(not self._processes)]
-        return out + [("err", line) for line in self._texts[1].lines(not self._processes)]
+        over = not self.running
+        out = [("out", line) for line in self._texts[0].lines(over)]
+        return out + [("err", line) for line in self._texts[1].lines(over)]
 
     def close(self) -> None:
         """End all that runs, and delete the home. In a copy of the process that has started it: nothing."""
         if os.getpid() != self._owner or self._folder.lock < 0:
             return
-        popen = getattr(self, "_popen", None)
-        if popen is not None:
+        for popen in self._popens:
             for pid in _group(popen.pid):
                 with suppress(OSError):
                     os.kill(pid, signal.SIGKILL)
@@ -461,6 +516,7 @@ def _environment(seed: int) -> dict[str, str]:
         "HOME": "/home/auv", "USER": "auv", "LOGNAME": "auv", "TMPDIR": "/tmp", "LANG": "C.UTF-8", "TZ": "UTC",
         "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": str(seed % 2**32), "PYTHONUNBUFFERED": "1",
         "PYTHONDONTWRITEBYTECODE": "1",
+        "ZENOH_RUNTIME": _ZENOH_RUNTIME,
         "PYTHONFAULTHANDLER": "1",  # a stack when it computes without an end, or waits for ever
         "GLIBC_TUNABLES": "glibc.pthread.rseq=0",  # else the kernel writes the processor's number into each thread
         "OPENSSL_ia32cap": "~0x4000000000000000:~0x40000",  # no RDRAND and no RDSEED, which nobody can trap

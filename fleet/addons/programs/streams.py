@@ -22,7 +22,7 @@ WINDOW = 1 << 16
 FIRST_RTO_NS, LEAST_RTO_NS, MOST_RTO_NS = 10**9, 2 * 10**8, 60 * 10**9
 SYN_TRIES, TRIES = 6, 15
 _CALL = struct.Struct("<Q16sH16sH")
-Deliver = Callable[[int, bytes], None]  # to the program's processes: kind and bytes
+Deliver = Callable[[int, bytes, int], None]  # to a process: kind, bytes, its number; 0: to all
 
 
 @dataclass
@@ -45,7 +45,7 @@ class End:
     kept: dict[int, bytes] = field(default_factory=dict)
     end_at: int | None = None  # where the other end's bytes end
     waiting: int = 0  # bytes that the program has not read
-    owed: int = 0  # acknowledgements of the loopback that wait until the program reads
+    owed: int = 0  # bytes of the loopback that are not acknowledged yet
     closed: bool = False  # the program knows it no more
     rto_ns: int = FIRST_RTO_NS
     smooth_ns: int = 0
@@ -60,15 +60,24 @@ class End:
 class Streams:
     """The connections of one agent."""
 
-    def __init__(self, agent: int, send: Callable[[Segment], None], deliver: Deliver) -> None:
+    def __init__(
+        self,
+        agent: int,
+        send: Callable[[Segment], None],
+        deliver: Deliver,
+        unanswered: Callable[[int], bool] = lambda port: False,
+    ) -> None:
         """Have none yet.
 
         Args:
             agent: the own number.
             send: sends a segment to another agent.
-            deliver: hands a message to the program's processes.
+            deliver: hands a message to one of the program's processes, or to all.
+            unanswered: asked with the port of an own address on which nobody listens: whether the call waits until
+                `call_again`, and is not refused.
         """
-        self._agent, self._send, self._deliver = agent, send, deliver
+        self._agent, self._send, self._deliver, self._unanswered = agent, send, deliver, unanswered
+        self._waiting: dict[int, bytes] = {}  # calls of own processes that wait for somebody who listens
         self._ends: dict[int, End] = {}
         self._calls: dict[int, int] = {}  # by connection that is asked for: processes that have not refused it yet
         self.now_ns = 0
@@ -116,12 +125,23 @@ class Streams:
         if agent is None:
             self._fail(end, errno.EHOSTUNREACH)
         elif agent == self._agent:
-            self._calls[connection | 1] = self.processes
-            self._ends[connection | 1] = End(0, connection | 1, agent, to_port, from_port, end.v6, stands=True)
-            self._deliver(65, (connection | 1).to_bytes(8, "little") + data[8:])
+            self._call_own(end, data)
         else:
             end.tries, end.due_ns = 1, self.now_ns + end.rto_ns
             self._put(end, SYN)
+
+    def _call_own(self, end: End, call: bytes) -> None:
+        other = end.connection | 1
+        self._calls[other] = self.processes
+        self._ends[other] = End(0, other, self._agent, end.to_port, end.from_port, end.v6, stands=True)
+        self._waiting[end.connection] = call
+        self._deliver(65, other.to_bytes(8, "little") + call[8:], 0)
+
+    def call_again(self) -> None:
+        """Somebody listens now whom calls have waited for."""
+        for connection, call in self._waiting.items():
+            if connection | 1 not in self._calls and (end := self._ends.get(connection)):
+                self._call_own(end, call)
 
     def _answered(self, process: int, connection: int, taken: bool) -> None:
         left = self._calls.get(connection)
@@ -138,20 +158,27 @@ class Streams:
             if local:
                 other = self._ends[connection ^ 1]
                 other.stands = True
-                self._deliver(79, other.connection.to_bytes(8, "little"))
+                self._waiting.pop(other.connection, None)
+                self._tell(other, 79)
             else:
                 self._put(end, SYN_ACK)
             return
         del self._ends[connection]
         if local:
-            self._fail(self._ends[connection ^ 1], errno.ECONNREFUSED)
+            other = self._ends[connection ^ 1]
+            if not self._unanswered(other.to_port):
+                self._waiting.pop(other.connection, None)
+                self._fail(other, errno.ECONNREFUSED)
         else:
             self._put(end, RST)
+
+    def _tell(self, end: End, kind: int, data: bytes = b"") -> None:
+        self._deliver(kind, end.connection.to_bytes(8, "little") + data, end.owner)
 
     def _fail(self, end: End, error: int) -> None:
         self._ends.pop(end.connection, None)
         if not end.closed:
-            self._deliver(69, end.connection.to_bytes(8, "little") + error.to_bytes(4, "little"))
+            self._tell(end, 69, error.to_bytes(4, "little"))
 
     def _write(self, end: End, data: bytes) -> None:
         if end.agent == self._agent:
@@ -159,18 +186,18 @@ class Streams:
             if other is None or other.closed:
                 self._fail(end, errno.EPIPE)
                 return
-            self._deliver(82, other.connection.to_bytes(8, "little") + data)
-            if other.waiting > 2 * WINDOW:
-                end.owed += len(data)
-            else:
-                self._acknowledge(end, len(data))
+            self._tell(other, 82, data)
+            end.owed += len(data)
+            if end.owed >= WINDOW and other.waiting <= 2 * WINDOW:  # not each time: an acknowledgement costs a turn
+                self._acknowledge(end, end.owed)
+                end.owed = 0
             return
         end.unsent += data
         self._pump(end)
 
     def _acknowledge(self, end: End, size: int) -> None:
         if not end.closed:
-            self._deliver(81, end.connection.to_bytes(8, "little") + size.to_bytes(4, "little"))
+            self._tell(end, 81, size.to_bytes(4, "little"))
 
     def _finish(self, end: End) -> None:
         if end.ends_at is not None:
@@ -179,7 +206,7 @@ class Streams:
         if end.agent != self._agent:
             self._pump(end)
         elif other := self._ends.get(end.connection ^ 1):
-            self._deliver(90, other.connection.to_bytes(8, "little"))
+            self._tell(other, 90)
 
     def _waits(self, end: End, size: int) -> None:
         was, end.waiting = end.waiting, size
@@ -226,7 +253,7 @@ class Streams:
         elif segment.kind == SYN_ACK:
             if not end.stands:
                 end.stands, end.due_ns, end.tries = True, None, 0
-                self._deliver(79, connection.to_bytes(8, "little"))
+                self._tell(end, 79)
             self._put(end, DATA)
         else:
             self._acknowledged(end, segment)
@@ -243,7 +270,7 @@ class Streams:
         self._ends[end.connection] = end
         self._calls[end.connection] = max(1, self.processes)
         own, other = node_address(self._agent, segment.v6), node_address(src, segment.v6)
-        self._deliver(65, _CALL.pack(end.connection, other, segment.from_port, own, segment.to_port))
+        self._deliver(65, _CALL.pack(end.connection, other, segment.from_port, own, segment.to_port), 0)
 
     def _acknowledged(self, end: End, segment: Segment) -> None:
         end.window = segment.window
@@ -284,13 +311,13 @@ class Streams:
         while (data := end.kept.pop(end.expected, None)) is not None:
             end.expected += len(data)
             if not end.closed:
-                self._deliver(82, end.connection.to_bytes(8, "little") + data)
+                self._tell(end, 82, data)
         for sequence in [each for each in end.kept if each < end.expected]:
             del end.kept[sequence]
         if end.end_at == end.expected:
             end.expected += 1
             if not end.closed:
-                self._deliver(90, end.connection.to_bytes(8, "little"))
+                self._tell(end, 90)
         self._put(end, DATA)
 
     # Sending.

@@ -1,0 +1,306 @@
+"""The place where zenoh programs of one agent meet: a router in their simulated time, and the way to other agents.
+
+This is a program of its own, which runs under the library as the agent's program does. It speaks zenoh with the agent's
+programs, by the rules of `fleet netem` (`Robot`), and datagrams with the endpoints of other agents. So each put, query
+and reply is a packet that the network judges.
+
+    python -m fleet.addons.programs.zenoh_endpoint NUMBER HEARD_BY_ME...
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import sys
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
+from itertools import count
+from threading import Lock
+from time import monotonic_ns
+from types import SimpleNamespace
+from typing import Any
+
+import msgpack
+import zenoh
+
+from fleet.addons.programs.ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
+from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
+from netem.wire.queries import OpenQueries, Ticket
+from netem.wire.robot_queues import Inlet
+from netem.wire.robots import Linked, Robot, RobotEndpoint, Token, Unfit, answer, read
+
+OWN = "self/"  # keys below it stay within the vehicle
+NAVIGATION, COMMAND = "self/nav", "self/cmd"
+TOKENS_S, LEASE_S = 0.5, 2.0  # how often tokens are told, and after which silence they are gone
+MOST_DATAGRAM = 60_000
+MOST_MESSAGE = 1 << 20
+MOST_UNFINISHED = 64  # messages of several datagrams of which some are missing
+_PRIORITIES = {
+    each.__int__(): each
+    for each in (
+        zenoh.Priority.REAL_TIME, zenoh.Priority.INTERACTIVE_HIGH, zenoh.Priority.INTERACTIVE_LOW,
+        zenoh.Priority.DATA_HIGH, zenoh.Priority.DATA, zenoh.Priority.DATA_LOW, zenoh.Priority.BACKGROUND,
+    )
+}  # fmt: skip
+_PUT, _DELETE, _QUERY, _REPLY, _END, _TOKENS, _PART = range(7)
+
+
+class _Straight(Inlet):
+    """Where nothing waits: what comes is sent at once, and the network bounds what waits for it."""
+
+    def offer(self, item: Any, size: int, name: Callable[[], Hashable]) -> None:
+        self.put(item)
+
+
+class ZenohEndpoint:
+    """The endpoint of one agent. Threads of zenoh and the thread of the datagrams share it."""
+
+    def __init__(self, number: int, heard: Sequence[int]) -> None:
+        """Open the router and the socket.
+
+        Args:
+            number: of the agent.
+            heard: the agents that hear this one's queries, and that it hears.
+        """
+        self._number, self._lock = number, Lock()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        self._socket.bind(("0.0.0.0", WATER_PORT))
+        self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._vehicle.bind(("127.0.0.1", NAVIGATION_PORT))
+        self._tickets: dict[int, Ticket] = {}
+        self._numbers: dict[Ticket, int] = {}
+        self._count = count(1)
+        self._queries = OpenQueries({number: set(heard)}, self._end_query)
+        self._own_tokens: dict[str, int] = {}  # how many robots' programs have one; here only this one
+        self._tokens_end_ns = 0  # until when the tokens are told though there is none any more
+        self._shown: dict[int, set[str]] = {}
+        self._heard_ns: dict[int, int] = {}
+        self._parts: dict[tuple[int, int], dict[int, bytes]] = {}
+        self._robot = Robot(
+            RobotEndpoint(number, f"auv{number}", listen=f"tcp/[::]:{ZENOH_PORT}"), ["**"], _Straight(self._take)
+        )
+        self._robot.begin()
+
+    def serve(self) -> None:
+        """Hand over what comes from the water, without an end."""
+        self._socket.sendto(b"", ("127.0.0.1", READY_PORT))
+        due_ns = monotonic_ns()
+        while True:
+            now_ns = monotonic_ns()
+            if now_ns >= due_ns:
+                due_ns = now_ns + round(TOKENS_S * 1e9)
+                with self._lock:
+                    self._tell_tokens()
+                    self._expire(now_ns)
+            left_s = max(0.0, (due_ns - monotonic_ns()) / 1e9) if self._busy else None
+            for ready in select.select([self._socket, self._vehicle], [], [], left_s)[0]:
+                data, (address, _) = ready.recvfrom(1 << 16)
+                if ready is self._vehicle:
+                    self._robot.say(NAVIGATION, data)
+                else:
+                    self._hear(int.from_bytes(socket.inet_aton(address)[2:], "big"), data)
+
+    @property
+    def _busy(self) -> bool:
+        return bool(self._own_tokens or self._shown or monotonic_ns() < self._tokens_end_ns)
+
+    # What the own programs say; on a thread of zenoh.
+
+    def _take(self, item: Any) -> None:
+        if isinstance(item, Token):
+            with self._lock:
+                self._announced(item)
+        elif not isinstance(item, Linked | Unfit):
+            self._said(item)
+
+    def _said(self, item: Any) -> None:
+        message = read(item)
+        if message is None:  # no more replies of own programs to a query of another agent
+            asker, number = item.ticket.query.name
+            self._send([_END, number, item.ticket.sent.get(self._number, 0)], asker)
+            return
+        if message.key.startswith(OWN):
+            if message.key == COMMAND and message.kind == PUT:
+                self._socket.sendto(message.payload, ("127.0.0.1", COMMAND_PORT))
+            elif message.kind == QUERY:
+                message.what.end()
+            return
+        what = message.what
+        if message.kind in (PUT, DELETE):
+            kind = _PUT if message.kind == PUT else _DELETE
+            self._send([kind, message.key, message.payload, *_manner(what)])
+        elif message.kind == QUERY:
+            query = what.query
+            payload = None if query.payload is None else message.payload
+            encoding = None if query.encoding is None else str(query.encoding)
+            asked = [str(query.selector), payload, encoding, _bytes(query.attachment)]
+            with self._lock:
+                number = next(self._count)
+                self._tickets[number], self._numbers[what] = what, number
+                self._queries.begin(what, len(message.payload))
+            self._send([_QUERY, number, *asked])
+        elif message.kind == REPLY:
+            ticket, reply = what
+            asker, number = ticket.query.name
+            ticket.sent[self._number] = ticket.sent.get(self._number, 0) + 1
+            failed = reply.ok is None
+            sample = reply.err if failed else reply.ok
+            kind = 2 if failed else int(reply.ok.kind == zenoh.SampleKind.DELETE)
+            manner = [str(sample.encoding)] if failed else _manner(sample)
+            self._send([_REPLY, number, kind, message.key, message.payload, *manner], asker)
+
+    def _announced(self, token: Token) -> None:
+        if token.alive == (token.key in self._own_tokens) or not self._robot.carries(token.key):
+            return
+        if token.alive:
+            self._own_tokens[token.key] = 1
+        else:
+            del self._own_tokens[token.key]
+            self._tokens_end_ns = monotonic_ns() + round(LEASE_S * 1e9)
+        self._tell_tokens()
+        self._wake()
+
+    def _wake(self) -> None:
+        """Let the thread of the datagrams look at the clock again."""
+        self._socket.sendto(b"", ("127.0.0.1", WATER_PORT))
+
+    def _tell_tokens(self) -> None:
+        if self._own_tokens or monotonic_ns() < self._tokens_end_ns:
+            self._send([_TOKENS, list(self._own_tokens)])
+
+    def _end_query(self, ticket: Ticket) -> None:
+        number = self._numbers.pop(ticket, 0)
+        self._tickets.pop(number, None)
+        ticket.end()
+
+    # What comes from the water.
+
+    def _send(self, message: list[Any], to: int | None = None) -> None:
+        data = msgpack.packb(message)
+        if len(data) > MOST_MESSAGE:
+            print(f"a message of {len(data)} bytes is too long: {MOST_MESSAGE} at most", file=sys.stderr)
+            return
+        address = "255.255.255.255" if to is None else f"10.0.{to >> 8}.{to & 255}"
+        if len(data) <= MOST_DATAGRAM:
+            self._socket.sendto(data, (address, WATER_PORT))
+            return
+        number, parts = next(self._count), -(-len(data) // MOST_DATAGRAM)
+        for i in range(parts):
+            part = data[i * MOST_DATAGRAM : (i + 1) * MOST_DATAGRAM]
+            self._socket.sendto(msgpack.packb([_PART, number, i, parts, part]), (address, WATER_PORT))
+
+    def _hear(self, src: int, data: bytes) -> None:
+        try:
+            message = msgpack.unpackb(data)
+            if message[0] == _PART:
+                whole = self._whole(src, *message[1:])
+                if whole is None:
+                    return
+                message = msgpack.unpackb(whole)
+            self._handle(src, message)
+        except (ValueError, TypeError, IndexError, KeyError, AttributeError, zenoh.ZError):
+            return  # damaged on its way: it is dropped, as UDP and TCP do
+
+    def _whole(self, src: int, number: int, part: int, of: int, data: bytes) -> bytes | None:
+        parts = self._parts.setdefault((src, number), {})
+        parts[part] = data
+        if len(parts) < of:
+            while len(self._parts) > MOST_UNFINISHED:
+                del self._parts[next(iter(self._parts))]
+            return None
+        del self._parts[src, number]
+        return b"".join(parts[i] for i in range(of))
+
+    def _handle(self, src: int, message: list[Any]) -> None:
+        kind, *rest = message
+        robot, now_ns = self._robot, monotonic_ns()
+        if kind in (_PUT, _DELETE):
+            key, payload, *manner = rest
+            what = _sample(key, *manner)
+            robot.hand(RobotMessage(src, PUT if kind == _PUT else DELETE, key, payload, now_ns, what), payload)
+        elif kind == _QUERY:
+            number, selector, payload, encoding, attachment = rest
+            query = SimpleNamespace(
+                name=(src, number), selector=selector, key_expr=selector.partition("?")[0], payload=payload,
+                encoding=encoding and zenoh.Encoding(encoding), attachment=attachment,
+            )  # fmt: skip
+            robot.ask(Ticket(query, src), payload)
+        elif kind == _REPLY:
+            number, how, key, payload, encoding, *manner = rest
+            if (ticket := self._tickets.get(number)) is None:
+                return
+            if how == 2:
+                reply = SimpleNamespace(ok=None, err=SimpleNamespace(encoding=zenoh.Encoding(encoding)))
+            else:
+                ok = _sample(key, encoding, *manner)
+                ok.kind = zenoh.SampleKind.DELETE if how else zenoh.SampleKind.PUT
+                reply = SimpleNamespace(ok=ok)
+            answer(RobotMessage(src, REPLY, key, payload, now_ns, (ticket, reply)), payload)
+            with self._lock:
+                self._queries.arrived(ticket, src)
+        elif kind == _END:
+            number, replies = rest
+            with self._lock:
+                if (ticket := self._tickets.get(number)) is not None and src not in ticket.ended:
+                    self._queries.sent(ticket, src, replies)
+                    self._queries.ended(ticket, src)
+        elif kind == _TOKENS:
+            with self._lock:
+                self._heard_ns[src] = now_ns
+                self._show(src, set(rest[0]))
+
+    def _show(self, src: int, keys: set[str]) -> None:
+        """Show the tokens of another agent as they are now."""
+        before = self._shown.get(src, set())
+        self._shown[src] = keys
+        robot = self._robot
+        for key in sorted(keys - before):
+            robot.outlet.do(partial(robot.mirror, key))
+        others = set().union(*(shown for i, shown in self._shown.items() if i != src))
+        for key in sorted(before - keys - others):
+            robot.outlet.do(partial(robot.withdraw, key))
+        if not keys:
+            del self._shown[src]
+
+    def _expire(self, now_ns: int) -> None:
+        """Let the tokens go whose agents have not told them for a lease: they died, or cannot be heard."""
+        for src in [i for i in self._shown if now_ns - self._heard_ns[i] > LEASE_S * 1e9]:
+            self._show(src, set())
+
+
+def _bytes(payload: Any) -> bytes | None:
+    return None if payload is None else payload.to_bytes()
+
+
+def _manner(sample: Any) -> list[Any]:
+    """How something was put: encoding, attachment, priority, express, time stamp. What is usual is left out."""
+    stamp = None if sample.timestamp is None else sample.timestamp.to_string_rfc3339_lossy()
+    manner = [str(sample.encoding), _bytes(sample.attachment), sample.priority.__int__(), sample.express, stamp]
+    usual = [None, None, zenoh.Priority.DATA.__int__(), False, None]
+    while len(manner) > 1 and manner[-1] == usual[len(manner) - 1]:
+        manner.pop()
+    return manner
+
+
+def _sample(
+    key: str,
+    encoding: str,
+    attachment: bytes | None = None,
+    priority: int | None = None,
+    express: bool = False,
+    stamp: str | None = None,
+) -> SimpleNamespace:
+    return SimpleNamespace(
+        key_expr=key, encoding=zenoh.Encoding(encoding), attachment=attachment, express=express, source_info=None,
+        priority=_PRIORITIES[5 if priority is None else priority],
+        timestamp=None if stamp is None else zenoh.Timestamp.parse_rfc3339(stamp),
+    )  # fmt: skip
+
+
+def main(number: str, *heard: str) -> None:
+    ZenohEndpoint(int(number), [*map(int, heard)]).serve()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-NOTHING_YET = -1.0  # a signal before the program has printed a line of it
-
 
 @dataclass(frozen=True, slots=True)
 class LineSignal:

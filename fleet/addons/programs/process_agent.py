@@ -28,6 +28,7 @@ NS = 10**9
 MOST_IN_ROUND = 40_000  # bytes; the transport carries 48 kB in a message
 MOST_QUEUED = 1 << 20  # bytes that wait for a round; what comes then is lost, as in a full network card
 _ADDRESSES = struct.Struct("<16sH16sH")
+_LOOPBACK = V4 + b"\x7f\0\0\x01"
 _HOSTS = 254  # nodes that have a name, unless a neighbour has a larger number
 
 
@@ -54,7 +55,8 @@ class ProcessAgent:
 
         Args:
             config: the agent's slice.
-            arguments: of the command line; `{id}` and `{seed}` stand for the agent's number and the run's seed.
+            arguments: of the command line; `{id}`, `{seed}` and `{zenoh}` stand for the agent's number, the run's seed, and where a
+                zenoh program connects.
             signals: read by `process_class`.
             addresses: agents by `HOST:PORT` or `HOST`.
             env: variables of the environment.
@@ -62,8 +64,9 @@ class ProcessAgent:
             epoch: the time at the beginning of the run, such as `2026-06-01T12:00:00`, in UTC; "": 2026-01-01.
         """
         self._config, self._tick_ns = config, config.tick_ns
-        words = {"id": config.id, "seed": config.seed}
+        words = {"id": config.id, "seed": config.seed, "zenoh": _ENDPOINT}
         self._words = [_filled(word, words) for word in (*self.command, *map(str, arguments))]
+        self._words = [_ENDPOINT if word == "tcp/unused" else word for word in self._words]  # scenarios of 1.0 say so
         self._environment = {key: _filled(str(value), words) for key, value in (env or {}).items()}
         folder = self.plugin_file.parent
         self._files = [path if path.is_absolute() else folder / path for path in map(Path, files)]
@@ -262,9 +265,8 @@ class _Life:
             self.processes.advance(now_ns)
 
     def _tell_own(self, port: int, data: bytes) -> None:
-        """Send a datagram to the own programs, as from the own address."""
-        own = node_address(self._id, False)
-        self.processes.send(68, _ADDRESSES.pack(own, port, own, port) + data)
+        """Send a datagram to the own programs on the loopback."""
+        self.processes.send(68, _ADDRESSES.pack(_LOOPBACK, port, _LOOPBACK, port) + data)
 
     def _why(self) -> str:
         """Why it is no good end; "": it is one."""
@@ -368,7 +370,9 @@ def epoch_ns(text: str) -> int:
 def endpoint_command() -> list[str]:
     """The command line of the zenoh endpoint, without its arguments."""
     root = Path(fleet.__file__).parents[1]
-    begin = "import sys; sys.path.insert(0, sys.argv.pop(1)); import runpy; runpy.run_module(sys.argv.pop(1), None, '__main__')"
+    begin = (
+        "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); runpy.run_module(sys.argv.pop(1), None, '__main__')"
+    )
     return [own_python(), "-P", "-c", begin, str(root), "fleet.addons.programs.zenoh_endpoint"]
 
 
@@ -381,7 +385,8 @@ def own_python() -> str:
     return str(own) if own.is_file() else sys.executable
 
 
-_PLACE = re.compile(r"\{(id|seed)\}")
+_PLACE = re.compile(r"\{(id|seed|zenoh)\}")
+_ENDPOINT = f"tcp/127.0.0.1:{ZENOH_PORT}"
 
 
 def _filled(word: str, values: Mapping[str, Any]) -> str:

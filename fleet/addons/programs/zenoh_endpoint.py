@@ -36,7 +36,7 @@ MOST_DATAGRAM = 60_000
 MOST_MESSAGE = 1 << 20
 MOST_UNFINISHED = 64  # messages of several datagrams of which some are missing
 _PRIORITIES = {
-    each.__int__(): each
+    each.__int__(): each  # type: ignore[union-attr]
     for each in (
         zenoh.Priority.REAL_TIME, zenoh.Priority.INTERACTIVE_HIGH, zenoh.Priority.INTERACTIVE_LOW,
         zenoh.Priority.DATA_HIGH, zenoh.Priority.DATA, zenoh.Priority.DATA_LOW, zenoh.Priority.BACKGROUND,
@@ -191,6 +191,8 @@ class ZenohEndpoint:
             self._socket.sendto(msgpack.packb([_PART, number, i, parts, part]), (address, WATER_PORT))
 
     def _hear(self, src: int, data: bytes) -> None:
+        if src == self._number or not data:
+            return  # a broadcast comes back, and `_wake` says nothing
         try:
             message = msgpack.unpackb(data)
             if message[0] == _PART:

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="the library 
 @pytest.fixture
 def real(run: RunProgram) -> Callable[..., Result]:
     """Runs a program as real processes."""
-    return lambda text, **changes: run(text, process="yes", **changes)
+    return lambda text, **changes: run(text, **changes)
 
 
 def ending(result: Result, agent: int = 1) -> str:
@@ -126,7 +126,7 @@ STORY = """
 
 def test_a_program_prints_what_it_prints_on_the_host_in_real_time(run: RunProgram, tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(dedent(STORY))
-    (tmp_path / "own.yaml").write_text(scenario(process="yes"))
+    (tmp_path / "own.yaml").write_text(scenario())
     result = fleet.run("own.yaml", out=tmp_path / "runs", set={"duration": "9 s"})
     folder = tmp_path / "host"
     folder.mkdir()
@@ -274,7 +274,7 @@ def test_streams_are_whole_over_links_that_lose(real: Callable[..., Result], tmp
             print(s.recv(100), s.recv(100))
     """
     (tmp_path / "program.py").write_text(dedent(text))
-    (tmp_path / "own.yaml").write_text(scenario(process="yes"))
+    (tmp_path / "own.yaml").write_text(scenario())
     changes = {"duration": "120 s", "network.links.*": "delay 20ms 10ms loss 20%"}
     result = fleet.run("own.yaml", out=tmp_path / "runs", set=changes)
     assert result.status is Status.PASS, lines(result, 2)
@@ -316,7 +316,7 @@ def test_a_kill_is_one_and_the_program_begins_anew(real: Callable[..., Result], 
         finally: print("never")
     """
     (tmp_path / "program.py").write_text(dedent(text))
-    (tmp_path / "own.yaml").write_text(scenario(process="yes"))
+    (tmp_path / "own.yaml").write_text(scenario())
     result = fleet.run("own.yaml", out=tmp_path / "runs", fault=["at 1.2s for 1s kill 1"])
     assert lines(result) == ["lives 0.0", "lives 0.5", "lives 1.0", "lives 2.2", "lives 2.7"]
     assert len(lines(result, 2)) == 6
@@ -356,12 +356,12 @@ def test_what_cannot_be_preloaded_is_refused_before_the_run(tmp_path: Path, run:
     (tmp_path / "own.yaml").write_text(scenario().replace("program.py", "static"))
     with pytest.raises(FleetError, match="is a static program"):
         fleet.run("own.yaml", out=tmp_path / "runs")
-    result = run("import subprocess; subprocess.run(['./static'])", process="yes", files="[static]")
+    result = run("import subprocess; subprocess.run(['./static'])", files="[static]")
     assert "PermissionError" in "".join(lines(result)) and "is a static program" in "".join(lines(result))
 
 
 def test_a_copy_of_an_agent_starts_its_program_again(tmp_path: Path, run: RunProgram) -> None:
-    run("import random, time\nwhile True: print(random.random()); time.sleep(0.1)", process="yes")
+    run("import random, time\nwhile True: print(random.random()); time.sleep(0.1)")
     agent = make_agent(load_scenario("own.yaml").agent_config(1))
     program: Any = agent
 

@@ -15,7 +15,7 @@ import fleet
 EXAMPLES = ROOT / "docs/examples"
 MEMBERS = r"""
     name: member
-    title: member.py in lockstep
+    title: member.py in simulated time
     vehicles: 3
     moored: true
     tick: 10 ms
@@ -24,7 +24,7 @@ MEMBERS = r"""
     network: {period: 10 ms, links: {"*": delay 40ms 20ms loss 20%}}
     agent:
       program: member.py
-      arguments: ["tcp/unused", "{id}", "3", "1"]
+      arguments: ["{zenoh}", "{id}", "3", "1"]
       signals: {leader: {line: '[\d.]+ (?P<value>\d+)$'}}
     nemesis: {mode: episodes, unit: 1 s}
     checks: {"one_leader:OneLeader": {}}
@@ -92,7 +92,7 @@ DEFECTS = {
     ),
     "a vote is freed by an older number": Planted(
         "sonar_lease/sonar.py", "self.voted == (other, number)", "self.voted[0] == other", "one-at-a-time",
-        ("seed=1", "duration=1.25 s", "nemesis=null"),
+        ("seed=2", "duration=2.3 s", "nemesis=null"),
     ),
 }  # fmt: skip
 
@@ -110,12 +110,6 @@ def failed(name: str, *changes: str) -> list[str]:
 def test_the_least_run_fails_with_the_defect_only(defect: Planted, tmp_path: Path) -> None:
     assert failed(defect.write(tmp_path), *defect.least) == [defect.check]
     assert failed(defect.write(tmp_path, planted=False), *defect.least) == []
-
-
-def test_a_race_needs_another_order_of_callbacks(tmp_path: Path) -> None:
-    """Datagrams of one sender are handled in their order if callbacks are; 300 runs with faults found nothing, too."""
-    stale = DEFECTS["a vote is freed by an older number"]
-    assert failed(stale.write(tmp_path), *stale.least, "agent.order=ready", "duration=5 s") == []
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "cluster": (("dask", "distributed"), ("tests/addons/studies/test_dask_engine.py",)),
     "fmu": (("fmpy",), ("tests/addons/fmu/test_fmu.py", "tests/system/test_fmu_runs.py")),
     "foxglove": (("foxglove", "websockets"), ("tests/addons/page/test_foxglove",)),
-    "programs": (("greenlet",), ("tests/addons/programs",)),
+    "programs": ((), ("tests/addons/programs",)),  # it needs no package, but a compiler and a minute
     "rl": (("pettingzoo", "gymnasium"), ("tests/addons/learning",)),
     "ros2": (
         ("rosbags", "xxhash", "mcap_ros2", "pyzeros", "zenoh_ros2_sdk"),

@@ -25,6 +25,7 @@ pytest_plugins = ["pytester"]
 SONAR = ROOT / "docs/examples/sonar_lease"
 STALE = ("self.voted == (other, number)", "self.voted[0] == other")  # a vote is freed by an older number
 SHORT = ("nemesis=null", "seed=2", "duration=2300 ms")
+BRIEF = ("nemesis=null", "duration=2 s")
 
 
 @pytest.fixture(autouse=True)
@@ -53,8 +54,9 @@ def test_why_says_who_had_the_water_and_verify_repeats_the_run() -> None:
 
 
 def test_a_failure_of_a_program_is_kept_and_its_repair_shows(tmp_path: Path) -> None:
-    found = invoke("search", "sonar.yaml", "--budget", 2, "--set", "duration=8 s", "--keep", "failures")
-    assert found.exit_code == 1 and "one-at-a-time: first with seed 1" in found.stdout, found.output
+    asked = ("--set", "seed=4", "--set", "duration=4 s", "--set", "nemesis.unit=200 ms")
+    found = invoke("search", "sonar.yaml", "--budget", 1, "--keep", "failures", *asked)
+    assert found.exit_code == 1 and "one-at-a-time: first with seed 4" in found.stdout, found.output
     again = invoke("regress", "failures")
     assert again.exit_code == 0 and "1 of 1 are as expected" in again.stdout, again.output
     plant(tmp_path, planted=False)
@@ -66,7 +68,7 @@ def test_a_failure_of_a_program_is_kept_and_its_repair_shows(tmp_path: Path) -> 
 
 def test_a_run_of_programs_can_go_on_from_a_moment_in_many_ways() -> None:
     """As `fleet rare` asks: in copies of a worker, and one after the other here."""
-    changes = (*SHORT, "checks={max_age: {below: 9 s}}", "log={every: 1 tick}", "network.links.*.loss=40%")
+    changes = (*BRIEF, "checks={max_age: {below: 9 s}}", "log={every: 1 tick}", "network.links.*.loss=40%")
     scenario = load_scenario("sonar.yaml", changes)
 
     def part(salt: int, way: tuple[tuple[int, int], ...] = (), best: float = inf) -> PartRow:
@@ -91,7 +93,7 @@ def test_a_run_of_programs_can_go_on_from_a_moment_in_many_ways() -> None:
 
 
 def test_rare_estimates_how_often_a_message_is_old() -> None:
-    changes = [part for each in (*SHORT, "checks={max_age: {below: 900 ms}}") for part in ("--set", each)]
+    changes = [part for each in (*BRIEF, "checks={max_age: {below: 900 ms}}") for part in ("--set", each)]
     done = invoke("rare", "sonar.yaml", "--check", "max_age", "--repeats", 2, "--effort", 6, *changes)
     assert done.exit_code == 0 and "sonar fails max_age with probability" in done.stdout, done.output
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -34,6 +35,13 @@ CONFIG = """
     begin = time.monotonic()
     def until(s): time.sleep(max(0, begin + s - time.monotonic()))
     session = opened()
+"""
+# Real programs do not begin at the same time.
+MEET = """
+    met = session.declare_subscriber("met/**", lambda s: None)
+    here = session.liveliness().declare_token(f"met/{me}")
+    while not [*session.liveliness().get(f"met/{3 - me}", timeout=1.0)]: time.sleep(0.01)
+    begin = time.monotonic()
 """
 # Two of them talk. What is said at the same moment is sorted, since a network may turn it round.
 STORY = """
@@ -108,12 +116,14 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def router() -> Iterator[str]:
     """A plain router on this host."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        place = f"tcp/127.0.0.1:{server.getsockname()[1]}"
     config = zenoh.Config()
-    for key, value in (("mode", '"router"'), ("listen/endpoints", '["tcp/127.0.0.1:17447"]'),
+    for key, value in (("mode", '"router"'), ("listen/endpoints", f'["{place}"]'),
                        ("scouting/multicast/enabled", "false")):  # fmt: skip
         config.insert_json5(key, value)
     with zenoh.open(config):
-        yield "tcp/127.0.0.1:17447"
+        yield place
 
 
 def zenoh_run(tmp_path: Path, text: str, vehicles: int = 2, **changes: str) -> Result:
@@ -123,13 +133,16 @@ def zenoh_run(tmp_path: Path, text: str, vehicles: int = 2, **changes: str) -> R
 
 
 def test_programs_see_at_their_endpoint_what_they_see_at_a_router(router: str, tmp_path: Path) -> None:
-    result = zenoh_run(tmp_path, STORY)
+    result = zenoh_run(tmp_path, dedent(MEET) + dedent(STORY))
     assert result.status is Status.PASS, [lines(result, agent) for agent in (1, 2)]
     command = [sys.executable, "program.py", router]
     both = [subprocess.Popen([*command, str(me)], stdout=subprocess.PIPE, text=True) for me in (1, 2)]
-    for me, one in enumerate(both, 1):
-        said, _ = one.communicate(timeout=60)
-        assert lines(result, me)[:-1] == said.splitlines()
+    try:
+        said = [one.communicate(timeout=100)[0].splitlines() for one in both]
+    finally:
+        for one in both:
+            one.kill()
+    assert [lines(result, me)[:-1] for me in (1, 2)] == said
     again = execute(load_scenario("own.yaml", ["duration=12 s"]), Options(tmp_path / "runs", quiet=True))
     assert again.digest == result.digest
 

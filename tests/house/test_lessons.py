@@ -28,7 +28,7 @@ LESSONS = {page.stem: page for page in notebooks.lessons()}
 NEEDS = {"4-where-does-it-break": "3-your-own-protocol"}  # a lesson that goes on with the files of another
 EXTRAS = {"4-where-does-it-break": "pandas", "5-watch-it-live": "nicegui", "7-ros2": "rosbags",
           "8-your-own-stack": "pandas",
-          "9-your-program-in-lockstep": "greenlet", "10-your-modem-code": "unetpy"}  # fmt: skip
+          "9-your-program-in-lockstep": "pandas", "10-your-modem-code": "unetpy"}  # fmt: skip
 
 ON_THE_WALL_CLOCK = ("8-your-own-stack", "10-your-modem-code")  # they wait more than a minute
 

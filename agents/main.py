@@ -26,6 +26,7 @@ from netem.wire.mailbox import Mailbox
 from netem.wire.session import quiet_zenoh
 from netem.wire.vehicle_bus import AgentEnd
 from world.errors import PluginError
+from world.plugins.kept_files import KeptFiles, files_are_kept
 from world.plugins.loading import unit_file
 from world.plugins.output import lines_go_into
 from world.plugins.trust import allow_file
@@ -39,10 +40,11 @@ def run(
     end: socket | None = None,
     incarnation: int = 0,
     begin: int = 0,
+    kept: Path | None = None,
 ) -> None:
     """Join a run as agent `vehicle` and answer navs, from tick `begin` on, until the process is ended. `end`: of the
-    vehicle's bus; None: that is on zenoh. Raises BusError if the run cannot be joined. Passes on whatever the
-    controller raised; the console has a note about it by then.
+    vehicle's bus; None: that is on zenoh. `kept`: a folder whose files outlive this process. Raises BusError if the run
+    cannot be joined. Passes on whatever the controller raised; the console has a note about it by then.
     """
     quiet_zenoh()
     keys = Keys(run_id)
@@ -51,7 +53,9 @@ def run(
     values = _ask_config(bus, keys.cfg(vehicle))
     config = AgentConfig.from_values(values["agent"])
     wires = None if end is None else AgentEnd(end, keys.nav(vehicle))
-    begin_life(bus, keys, config, incarnation, begin, clock_of(values), end=wires).serve()
+    with files_are_kept(KeptFiles(kept)):
+        life = begin_life(bus, keys, config, incarnation, begin, clock_of(values), end=wires)
+    life.serve()
 
 
 def run_host(endpoint: str, run_id: str, number: int, credentials: Credentials, running: Path) -> None:

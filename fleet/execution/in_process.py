@@ -38,6 +38,7 @@ from netem.wire.codec import decode, encode
 from netem.wire.messages import Command, Delivery, Frame, Inbox, Nav, Round, Transmission, WorldFault
 from world.errors import WorldError
 from world.lockstep import Lockstep, NavTo
+from world.plugins.kept_files import KeptFiles, files_are_kept
 from world.sea import World
 
 WORLD, NETEM = 0, -1  # who speaks; agents have their positive numbers
@@ -85,6 +86,7 @@ class InProcess:
             salt: changes all further draws of world and network; 0: the draws of every run with this seed.
         """
         self._other_agents = agents or {}
+        self._kept: KeptFiles = KeptFiles() if before is None else before._kept
         self.scenario, self.journal, self._before = scenario, journal, before
         seed = salted(scenario.seed, salt)
         self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
@@ -245,13 +247,9 @@ class InProcess:
             return self._other_agents[i](incarnation, begin)
         scenario = self.scenario
         config = msgpack.unpackb(msgpack.packb(scenario.agent_config(i).to_values()))  # as if over the wire
-        return AgentLoop(
-            make_agent(AgentConfig.from_values(config)),
-            scenario.round_ticks,
-            incarnation=incarnation,
-            begin=begin,
-            ideal=scenario.ideal,
-        )
+        with files_are_kept(self._kept):
+            agent = make_agent(AgentConfig.from_values(config))
+        return AgentLoop(agent, scenario.round_ticks, incarnation=incarnation, begin=begin, ideal=scenario.ideal)
 
     def _loop(self, i: int, incarnation: int) -> AgentLife:
         if incarnation > self._loops[i].incarnation:

@@ -104,7 +104,8 @@ class Launch:
     def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
         """The function that an agent's process runs, in the life `incarnation` that begins at tick `begin`."""
         credentials = self.credentials[self._hosting.role(i)]
-        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, self._end(i), incarnation, begin)
+        life = incarnation, begin, self._private.path / "kept"
+        return agents.main.run, (self.endpoint, self._keys.run, i, credentials, self._end(i), *life)
 
     def _end(self, i: int) -> socket | None:
         """The end of a vehicle's bus for an agent that is about to start; None: the bus is on zenoh."""

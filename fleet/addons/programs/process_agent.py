@@ -16,12 +16,14 @@ from typing import Any, ClassVar
 
 import fleet
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
+from fleet.addons.programs.home import copy_of_disk
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.steering import Vehicle, navigation
 from fleet.addons.programs.streams import Streams
+from world.plugins.kept_files import kept_folder
 from world.plugins.output import line_writer
 
 NS = 10**9
@@ -55,8 +57,8 @@ class ProcessAgent:
 
         Args:
             config: the agent's slice.
-            arguments: of the command line; `{id}`, `{seed}` and `{zenoh}` stand for the agent's number, the run's seed, and where a
-                zenoh program connects.
+            arguments: of the command line; `{id}`, `{seed}` and `{zenoh}` stand for the agent's number, the run's seed,
+                and where a zenoh program connects.
             signals: read by `process_class`.
             addresses: agents by `HOST:PORT` or `HOST`.
             env: variables of the environment.
@@ -79,6 +81,8 @@ class ProcessAgent:
         self.values: dict[str, float | None] = dict.fromkeys(each.name for each in self.reads)
         self._said: list[Said] = []
         self._write_line = line_writer(f"agent-{config.id}.log")
+        self._disk = kept_folder(f"agent-{config.id}")
+        self._disk_before = None if self._disk is None else copy_of_disk(self._disk)
 
     def __del__(self) -> None:
         life = getattr(self, "_life", None)
@@ -104,7 +108,7 @@ class ProcessAgent:
 
     def _repeat(self) -> None:
         """Start the program again, with all that came: this process is a copy by fork, and it belongs to the first."""
-        self._owner, self._life = os.getpid(), None
+        self._owner, self._life, self._disk = os.getpid(), None, None
         for now_ns, packets, nav in self._history:
             life = self._step(now_ns, packets, nav, tell=False)
             life.leaving(sys.maxsize)
@@ -112,8 +116,10 @@ class ProcessAgent:
     def _step(self, now_ns: int, packets: list[Delivery], nav: Nav | None, tell: bool) -> _Life:
         if self._life is None:
             self._life = _Life(
-                self._config, self._words, self._environment, self._files, self._book, now_ns, self._epoch_ns
-            )
+                self._config, self._words, self._environment, self._files, self._book, now_ns, self._epoch_ns,
+                self._disk,
+                self._disk_before,
+            )  # fmt: skip
         life = self._life
         for at_ns, stream, text in life.step(now_ns, packets, nav):
             for each in self.reads if stream == "out" else ():
@@ -182,6 +188,8 @@ class _Life:
         book: _AddressBook,
         now_ns: int,
         epoch: int,
+        disk: Path | None,
+        disk_before: Path | None,
     ) -> None:
         self._id, self._book = config.id, book
         self._out: deque[bytes] = deque()
@@ -198,7 +206,7 @@ class _Life:
         self.processes = Processes(
             command, environment, files, agent=config.id, agents=book.largest, tick_ns=config.tick_ns, now_ns=now_ns,
             seed=Random(f"{config.seed}/{config.id}/{now_ns}").getrandbits(63), told=self._told, epoch_ns=epoch,
-            other_addresses=book.has_others,
+            other_addresses=book.has_others, disk=disk, disk_before=disk_before,
         )  # fmt: skip
 
     def step(self, now_ns: int, packets: Sequence[Delivery], nav: Nav | None = None) -> list[tuple[int, str, str]]:

@@ -19,9 +19,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 
+from fleet.addons.programs.home import Home
 from fleet.addons.programs.library import compiled
 from fleet.errors import FleetError
-from netem.private_folder import PrivateFolder
 
 NEVER = 2**63 - 1
 EPOCH_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00 UTC
@@ -30,7 +30,6 @@ MEMORY_MB = 0  # of address space; 0: any, since some run times reserve terabyte
 CPU_S = 10.0  # of computing in one turn
 STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
 MOST_TURNS = 20_000  # of one moment: processes that wake each other without an end
-_COUNTERS = ("rchar", "wchar", "syscr", "syscw", "read_bytes", "write_bytes", "cancelled_write_bytes")  # of /proc
 MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
@@ -87,6 +86,8 @@ class Processes:
         told: Told,
         epoch_ns: int = EPOCH_NS,
         other_addresses: bool = False,
+        disk: Path | None = None,
+        disk_before: Path | None = None,
     ) -> None:
         """Start it; nothing of it runs before `begin`.
 
@@ -102,6 +103,7 @@ class Processes:
             told: takes what is not for the processes themselves, such as datagrams.
             epoch_ns: the real time at the beginning of a run [ns since 1970].
             other_addresses: agents have other addresses, too, than those of their nodes.
+            disk, disk_before: see `Home`.
 
         Raises:
             NoLibraryError: programs cannot run here.
@@ -110,16 +112,15 @@ class Processes:
         self._owner = os.getpid()
         self._agent, self._agents, self._seed, self._tick_ns, self._epoch_ns = agent, agents, seed, tick_ns, epoch_ns
         self.now_ns, self._told, self._flags = now_ns, told, int(other_addresses)
-        self._folder = PrivateFolder("home")
-        self.home = self._folder.path / "home"
-        self.home.mkdir()
+        self._closed = False
+        self._home = Home(files, agent, agents, epoch_ns, disk, disk_before)
+        self.home = self._home.path
         self._processes: dict[int, Process] = {}
         self._next_pid = 1000 + agent
         self._gone: list[int] = []
         self.status: int | None = None  # of the first process, as of subprocess.Popen; None: it runs
         self.refused = ""  # what the library has refused, in its words
         self._texts = [_Text(), _Text()]
-        self._furnish(files)
         self._visible = _visible([*command, *environment.values()])
         self._popens: list[subprocess.Popen[bytes]] = []  # of the first process of each family
         self._first = self._start(command, environment, *(text.file for text in self._texts))
@@ -170,47 +171,6 @@ class Processes:
         process = self._add(ours, 0, len(self._popens) - 1)
         process.real = popen.pid
         return process
-
-    def _furnish(self, files: Sequence[Path]) -> None:
-        for name in (".shm", ".tmp", ".run", ".host"):
-            (self.home / name).mkdir()
-        host = self.home / ".host"
-        width = "10.0.{}.{}"
-        names = [f"{width.format(i >> 8, i & 255)} auv{i} auv-{i} agent{i}" for i in range(1, self._agents + 1)]
-        texts = {
-            "hosts": "\n".join(["127.0.0.1 localhost", "::1 localhost ip6-localhost", *names, ""]),
-            "resolv.conf": "",
-            "nsswitch.conf": "passwd: files\ngroup: files\nhosts: files\nservices: files\nprotocols: files\n",
-            "host.conf": "multi on\n",
-            "hostname": f"auv-{self._agent}\n",
-            "machine-id": f"{self._agent:032x}\n",
-            "boot_id": f"00000000-0000-4000-8000-{self._agent:012x}\n",
-            "timezone": "Etc/UTC\n",
-            "meminfo": "MemTotal: 4194304 kB\nMemFree: 2097152 kB\nMemAvailable: 2097152 kB\nSwapTotal: 0 kB\n",
-            "uptime": "1000.00 1000.00\n",
-            "loadavg": "0.00 0.00 0.00 1/1 1\n",
-            "stat": f"cpu 0 0 0 0 0 0 0 0 0 0\ncpu0 0 0 0 0 0 0 0 0 0 0\nbtime {self._epoch_ns // 10**9 - 1000}\n",
-            "route": "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
-            "auv0\t0000000A\t00000000\t0001\t0\t0\t0\t00FFFFFF\t0\t0\t0\n",
-            "processors": "0\n",
-            "dev": "Inter-| Receive | Transmit\n face |bytes packets errs drop fifo frame compressed multicast|"
-            "bytes packets errs drop fifo colls carrier compressed\n"
-            + "".join(f"  {name}: {' '.join('0' * 16)}\n" for name in ("lo", "auv0")),
-            "self_stat": f"{1000 + self._agent} (program) S 1 1000 1000 0 -1 0 0 0 0 0 0 0 0 0 20 0 1 0 100000 "
-            f"268435456 16384 {2**64 - 1} 1 1 0 0 0 0 0 0 0 0 0 0 17 0 0 0 0 0 0 0 0 0 0 0 0 0 0\n",
-            "self_statm": "65536 16384 4096 1 0 16384 0\n",
-            "self_io": "".join(f"{name}: 0\n" for name in _COUNTERS),
-            "empty": "",
-        }
-        for name, text in texts.items():
-            (host / name).write_text(text)
-        with suppress(OSError):
-            shutil.copy("/usr/share/zoneinfo/UTC", host / "localtime")
-        for path in files:
-            if path.is_dir():
-                shutil.copytree(path, self.home / path.name)
-            else:
-                shutil.copy2(path, self.home / path.name)
 
     def _add(self, channel: socket.socket, parent: int, family: int) -> Process:
         process = Process(self._next_pid, channel, family, parent)
@@ -458,8 +418,9 @@ class Processes:
 
     def close(self) -> None:
         """End all that runs, and delete the home. In a copy of the process that has started it: nothing."""
-        if os.getpid() != self._owner or self._folder.lock < 0:
+        if os.getpid() != self._owner or self._closed:
             return
+        self._closed = True
         for popen in self._popens:
             for pid in _group(popen.pid):
                 with suppress(OSError):
@@ -474,7 +435,7 @@ class Processes:
         self._processes.clear()
         for text in self._texts:
             text.close()
-        self._folder.close()
+        self._home.close()
 
 
 class _Text:

@@ -42,6 +42,7 @@ _PRIORITIES = {
         zenoh.Priority.DATA_HIGH, zenoh.Priority.DATA, zenoh.Priority.DATA_LOW, zenoh.Priority.BACKGROUND,
     )
 }  # fmt: skip
+_DATA = next(number for number, each in _PRIORITIES.items() if each == zenoh.Priority.DATA)
 _PUT, _DELETE, _QUERY, _REPLY, _END, _TOKENS, _PART = range(7)
 
 
@@ -279,7 +280,7 @@ def _manner(sample: Any) -> list[Any]:
     """How something was put: encoding, attachment, priority, express, time stamp. What is usual is left out."""
     stamp = None if sample.timestamp is None else sample.timestamp.to_string_rfc3339_lossy()
     manner = [str(sample.encoding), _bytes(sample.attachment), sample.priority.__int__(), sample.express, stamp]
-    usual = [None, None, zenoh.Priority.DATA.__int__(), False, None]
+    usual = [None, None, _DATA, False, None]
     while len(manner) > 1 and manner[-1] == usual[len(manner) - 1]:
         manner.pop()
     return manner
@@ -295,7 +296,7 @@ def _sample(
 ) -> SimpleNamespace:
     return SimpleNamespace(
         key_expr=key, encoding=zenoh.Encoding(encoding), attachment=attachment, express=express, source_info=None,
-        priority=_PRIORITIES[5 if priority is None else priority],
+        priority=_PRIORITIES[_DATA if priority is None else priority],
         timestamp=None if stamp is None else zenoh.Timestamp.parse_rfc3339(stamp),
     )  # fmt: skip
 

@@ -33,6 +33,7 @@ from netem.lives import Lives
 from netem.network import Netem
 from netem.wire.messages import FAILED, Command, Fate, Inbox, Nav, TimedFault, Transmission, WorldFault
 from world.plugins.fence import OverBudgetError, alarm
+from world.plugins.kept_files import KeptFiles, files_are_kept
 from world.sea import World
 
 BUDGET_S = 600.0  # of wall time; what takes longer is left to the emulator, which limits each call of a check
@@ -99,6 +100,7 @@ class _BareRun:
         self._world, self._network = World(scenario.world_config), Netem(scenario.netem_config)
         self._lives = Lives(scenario.world_config.absences)
         self._loops: dict[int, AgentLoop] = {}  # by vehicle: the life of its agent
+        self._kept = KeptFiles()
         self._events, self._fates = deque(scenario.faults.events), deque[Fate]()
         self._frames = deque[_Values]()
         self._frame_every = frame_every(scenario)
@@ -146,7 +148,8 @@ class _BareRun:
             return None
         life = self._lives.incarnation(i, k)
         if i not in self._loops or self._loops[i].incarnation != life:
-            core = make_agent(self._configs[i])
+            with files_are_kept(self._kept):
+                core = make_agent(self._configs[i])
             self._loops[i] = AgentLoop(core, self._scenario.round_ticks, incarnation=life, begin=k)
         return self._loops[i]
 

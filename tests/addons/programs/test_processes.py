@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import dedent
@@ -320,6 +321,31 @@ def test_a_kill_is_one_and_the_program_begins_anew(real: Callable[..., Result], 
     result = fleet.run("own.yaml", out=tmp_path / "runs", fault=["at 1.2s for 1s kill 1"])
     assert lines(result) == ["lives 0.0", "lives 0.5", "lives 1.0", "lives 2.2", "lives 2.7"]
     assert len(lines(result, 2)) == 6
+
+
+def test_a_disk_outlives_a_kill_and_no_run(real: Callable[..., Result], tmp_path: Path) -> None:
+    text = """
+        import os, pathlib, sys, time
+        count = pathlib.Path("count.txt")
+        lives = len(count.read_text()) if count.exists() else 0
+        count.write_text("x" * (lives + 1))
+        print(lives, open("data.txt").read(), os.listdir("/tmp"), os.listdir("/dev/shm"))
+        open("data.txt", "a").write(" more"), open("/tmp/a", "w"), open("/dev/shm/a", "w")
+        os.mkfifo("pipe") if not lives else None
+        time.sleep(99)
+    """
+    (tmp_path / "data.txt").write_text("data")
+    (tmp_path / "program.py").write_text(dedent(text))
+    (tmp_path / "own.yaml").write_text(scenario(files="[data.txt]"))
+    faults = ["at 1s for 200ms kill 1", "at 2s for 200ms kill 1"]
+    result = fleet.run("own.yaml", out=tmp_path / "runs", fault=faults)
+    assert lines(result) == ["0 data [] []", "1 data more [] []", "2 data more more [] []"]
+    assert lines(result, 2) == ["0 data [] []"] and (tmp_path / "data.txt").read_text() == "data"
+    changed = [f"faults=[{{{', '.join(('at: 1 s', 'for: 200 ms', 'kill: 1'))}}}, {{at: 2 s, for: 200 ms, kill: 1}}]"]
+    distributed = execute(load_scenario("own.yaml", changed), Options(tmp_path / "runs", quiet=True))
+    assert distributed.digest == fleet.run("own.yaml", set=changed).digest
+    assert lines(distributed) == lines(result)
+    assert not [*Path(tempfile.gettempdir()).glob("uuv-fleet-kept-*/agent-1/home/count.txt")]
 
 
 def test_nothing_is_left_when_runs_are_over(real: Callable[..., Result], tmp_path: Path) -> None:

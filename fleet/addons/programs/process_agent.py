@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 
 import fleet
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
+from fleet.addons.programs.attachment import attachment
 from fleet.addons.programs.home import copy_of_disk
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
@@ -207,6 +208,7 @@ class _Life:
             command, environment, files, agent=config.id, agents=book.largest, tick_ns=config.tick_ns, now_ns=now_ns,
             seed=Random(f"{config.seed}/{config.id}/{now_ns}").getrandbits(63), told=self._told, epoch_ns=epoch,
             other_addresses=book.has_others, disk=disk, disk_before=disk_before,
+            attached=attachment(config.id),
         )  # fmt: skip
 
     def step(self, now_ns: int, packets: Sequence[Delivery], nav: Nav | None = None) -> list[tuple[int, str, str]]:

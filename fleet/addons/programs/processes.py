@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 
+from fleet.addons.programs.attachment import Attachment, start_gdb, take_terminal
 from fleet.addons.programs.home import Home
 from fleet.addons.programs.library import compiled
 from fleet.errors import FleetError
@@ -32,6 +33,7 @@ STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
 MOST_TURNS = 20_000  # of one moment: processes that wake each other without an end
 MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
+_HAS_TERMINAL = 2  # of the configuration
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
 _HEAD = struct.Struct("<IB")
 _KEPT = ("PATH", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")  # of our environment; runs depend on the rest no more
@@ -88,6 +90,7 @@ class Processes:
         other_addresses: bool = False,
         disk: Path | None = None,
         disk_before: Path | None = None,
+        attached: Attachment | None = None,
     ) -> None:
         """Start it; nothing of it runs before `begin`.
 
@@ -104,6 +107,7 @@ class Processes:
             epoch_ns: the real time at the beginning of a run [ns since 1970].
             other_addresses: agents have other addresses, too, than those of their nodes.
             disk, disk_before: see `Home`.
+            attached: who sits at it; None: nobody.
 
         Raises:
             NoLibraryError: programs cannot run here.
@@ -112,6 +116,10 @@ class Processes:
         self._owner = os.getpid()
         self._agent, self._agents, self._seed, self._tick_ns, self._epoch_ns = agent, agents, seed, tick_ns, epoch_ns
         self.now_ns, self._told, self._flags = now_ns, told, int(other_addresses)
+        self._attached = attached
+        self._gdb: subprocess.Popen[bytes] | None = None
+        if attached is not None and not attached.gdb:
+            self._flags |= _HAS_TERMINAL
         self._closed = False
         self._home = Home(files, agent, agents, epoch_ns, disk, disk_before)
         self.home = self._home.path
@@ -153,13 +161,15 @@ class Processes:
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
         variables = _environment(self._seed) | dict(environment)
-        start = [launcher, its.fileno(), out, err, self.home, library, MEMORY_MB, "--", *command]
+        at_terminal = bool(self._flags & _HAS_TERMINAL) and not self._popens
+        outputs = ("-", "-") if at_terminal else (out, err)
+        start = [launcher, its.fileno(), *outputs, self.home, library, MEMORY_MB, "--", *command]
         try:
             popen = subprocess.Popen(
                 [*map(str, start)],
                 env=dict(sorted(variables.items())),  # its order is seen in memory
                 pass_fds=sorted({its.fileno(), out, err}),
-                stdin=subprocess.DEVNULL,
+                stdin=None if at_terminal else subprocess.DEVNULL,
             )
         except OSError as error:
             ours.close()
@@ -247,6 +257,7 @@ class Processes:
         data = bytes(process.inbox) + _HEAD.pack(9, ord("T")) + struct.pack("<q", self.now_ns)
         process.inbox.clear()
         process.did_something = False
+        self._debug(process)
         try:
             process.channel.sendall(data)
         except OSError:
@@ -293,6 +304,7 @@ class Processes:
     def _take(self, process: Process, kind: int, data: bytes) -> None:
         if kind == 72:  # H: the library is loaded
             process.began = True
+            self._debug(process)
             self._answer(process, b"J" + self._configuration(process))
         elif kind == 71:  # G: a signal for another process
             which, number = struct.unpack("<qB", data)
@@ -354,6 +366,8 @@ class Processes:
 
     def _look_after(self, process: Process, begun: tuple[float, float] | None) -> tuple[float, float]:
         """Called each second in which a process has not answered."""
+        if self._attached is not None:
+            return 0.0, 0.0  # somebody thinks
         leader = self._popens[process.family].pid
         used = sum(map(_cpu_s, _group(leader)))
         if begun is None:
@@ -366,6 +380,13 @@ class Processes:
             self._show_stack(leader, signal.SIGABRT)
             raise ProgramEnded("it waits in the kernel for something that is not emulated")
         return begun
+
+    def _debug(self, process: Process) -> None:
+        """Attach the debugger that is asked for, if it is time."""
+        at = self._attached
+        if at is None or not at.gdb or self._gdb is not None or self.now_ns < at.at_ns or process is not self._first:
+            return
+        self._gdb = start_gdb(process.real)
 
     def _show_stack(self, leader: int, number: int) -> None:
         with suppress(OSError):
@@ -421,6 +442,10 @@ class Processes:
         if os.getpid() != self._owner or self._closed:
             return
         self._closed = True
+        if self._gdb is not None:
+            self._gdb.wait()
+        if self._flags & _HAS_TERMINAL:
+            take_terminal()
         for popen in self._popens:
             for pid in _group(popen.pid):
                 with suppress(OSError):

@@ -67,9 +67,28 @@ static int is_net(int fd) { /* what comes to it may come from outside the agent;
   return in_table(fd) && (fd == 0 || descriptors[fd].sock || descriptors[fd].net);
 }
 
+/* `fleet run --attach` gives the program a terminal. Who waits for what is typed there waits in the kernel, and nobody
+   else goes on: so time stands still while the user thinks. */
+static int is_terminal(int fd) {
+  static dev_t terminal;
+  struct stat s;
+  if (!(config.flags & ATTACHED)) return 0;
+  if (!terminal) terminal = SYS(SYS_fstat, 0, &s) || !S_ISCHR(s.st_mode) ? (dev_t)-1 : s.st_rdev;
+  return !SYS(SYS_fstat, fd, &s) && S_ISCHR(s.st_mode) && s.st_rdev == terminal;
+}
+
+static void await_terminal(int fd) {
+  struct pollfd p = {fd, POLLIN, 0};
+  SYS(SYS_ppoll, &p, 1, 0, 0, 8);
+}
+
 /* Waits until a descriptor can be read or written. 0: it can, or it must not wait; else an error. */
 int wait_ready(int fd, int events, int flags, i64 timeout) {
   if (ready(fd, events)) return 0;
+  if (events == POLLIN && is_terminal(fd)) {
+    await_terminal(fd);
+    return 0;
+  }
   if (flags & MSG_DONTWAIT || SYS(SYS_fcntl, fd, F_GETFL) & O_NONBLOCK) {
     spins();
     return 0;
@@ -157,7 +176,8 @@ static long wait_poll(struct pollfd *p, size_t n, i64 timeout) {
     if (me->handled != handled) return -EINTR;
     if (timeout == 0) spins();
     if (timeout != NEVER && now >= deadline) return 0;
-    if (net) block_net(&descriptors_changed, deadline);
+    if (timeout == NEVER && n == 1 && is_terminal(p->fd)) await_terminal(p->fd);
+    else if (net) block_net(&descriptors_changed, deadline);
     else block(&descriptors_changed, deadline);
   }
 }
@@ -181,7 +201,8 @@ static long wait_select(int n, fd_set *sets[3], i64 timeout) {
       return r;
     }
     if (me->handled != handled) return -EINTR;
-    if (net) block_net(&descriptors_changed, deadline);
+    if (timeout == NEVER && n == 1 && is_terminal(0)) await_terminal(0);
+    else if (net) block_net(&descriptors_changed, deadline);
     else block(&descriptors_changed, deadline);
   }
 }

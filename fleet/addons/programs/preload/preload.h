@@ -57,6 +57,7 @@ struct configuration {
   u32 pid, parent, agent, prefix, agents, flags;
 } __attribute__((packed));
 extern struct configuration config;
+enum { OTHER_ADDRESSES = 1, ATTACHED = 2 }; /* its flags */
 extern char home[], visible[]; /* the agent's folder; folders that are not hidden, each ended by a zero */
 extern i64 now;
 void tell(u8 kind, const void *head, size_t head_size, const void *body, size_t size);

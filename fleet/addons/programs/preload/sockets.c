@@ -49,7 +49,7 @@ int is_mine(const u8 *ip) {
 
 /* Whether there can be an agent: an address of the network that the agents share. */
 static int is_inside(const u8 *ip) {
-  if (config.flags & 1 || is_loopback(ip) || is_everybody(ip) || is_any(ip)) return 1; /* 1: the scenario names addresses */
+  if (config.flags & OTHER_ADDRESSES || is_loopback(ip) || is_everybody(ip) || is_any(ip)) return 1;
   if (is_v4(ip)) return ip[12] == 10 && ip[13] == 0 && (config.prefix == 16 || ip[14] == 0);
   return ip[0] == 0xfd || (ip[0] == 0xfe && ip[1] == 0x80);
 }

@@ -56,6 +56,13 @@ int main(int n, char **a) {
   if (n < 9) return 96;
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   setpgid(0, 0);
+  int attached = !strcmp(a[2], "-"); /* it has the terminal, and Ctrl-C is its own */
+  if (attached) {
+    signal(SIGTTOU, SIG_IGN);
+    tcsetpgrp(0, getpgrp());
+    signal(SIGTTOU, SIG_DFL);
+  }
+  prctl(PR_SET_PTRACER, PR_SET_PTRACER_ANY); /* a debugger that is not its parent */
   signal(SIGPIPE, SIG_DFL); /* Python ignores it, and a program inherits that */
   sigset_t none;
   sigemptyset(&none);
@@ -67,9 +74,8 @@ int main(int n, char **a) {
   set_limit(RLIMIT_CORE, 0);
   if (atol(a[6])) set_limit(RLIMIT_AS, (rlim_t)atol(a[6]) << 20);
   if (dup2(atoi(a[1]), CHANNEL) < 0) fail("4096 open files are needed, see ulimit -n");
-  int null = open(strcmp(a[2], "-") ? "/dev/null" : "/dev/tty", O_RDWR);
-  if (strcmp(a[2], "-")) {
-    dup2(null, 0);
+  if (!attached) {
+    dup2(open("/dev/null", O_RDWR), 0);
     dup2(atoi(a[2]), 1);
     dup2(atoi(a[3]), 2);
   }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -61,8 +60,8 @@ def start_gdb(pid: int) -> subprocess.Popen[bytes] | None:
     Returns:
         The debugger; None: it has ended before it was attached.
     """
-    sys.stdout.write("gdb has the program: set breakpoints, then `continue`; time stands still while it does.\n")
-    sys.stdout.flush()
+    text = "gdb has the program: set breakpoints, then `continue`; time stands still while it does.\n"
+    os.write(1, text.encode())  # not print, which would be a note of a law
     commands = ["set pagination off", "handle SIGSYS nostop noprint pass"]  # SIGSYS: how its system calls are trapped
     asked = [part for each in commands for part in ("-iex", each)]
     gdb = subprocess.Popen(["gdb", "-q", *asked, "-p", str(pid)])

@@ -8,7 +8,9 @@ that fails), `yes` (it must work) or `no`. An editable install is never compiled
 from __future__ import annotations
 
 import os
+import platform
 import shutil
+import subprocess
 import sys
 import sysconfig
 import tempfile
@@ -51,6 +53,7 @@ MODULES = (
 )  # fmt: skip
 # Fused multiply-add and reordered sums would change the last bits of a result.
 FLAGS = ("-ffp-contract=off", "-fno-fast-math", "-w")
+PRELOAD = "fleet/addons/programs/preload"
 NOTE = "fleet/not_compiled.txt"  # the reason why a wheel has no compiled cores; `fleet --version` says it
 LEVEL = "1"  # of optimisation: 2 takes twice the time for code that is not faster
 
@@ -73,7 +76,7 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
             if obstacle is None:
                 options = {"build": {"build_base": f"{folder}/compiled"}}
                 try:
-                    commands = {"build_ext": _OnAllCores}
+                    commands = {"build_ext": _OnAllCores, "build_py": _WithPreload}
                     setuptools.setup = partial(
                         plain, ext_modules=_extensions(folder), options=options, cmdclass=commands
                     )
@@ -88,6 +91,17 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
             return build()
         finally:
             setuptools.setup = plain
+
+
+class _WithPreload(build_py):
+    """The step that copies the modules, which also compiles what is preloaded into programs of others."""
+
+    def run(self) -> None:
+        super().run()
+        if (platform.system(), platform.machine()) == ("Linux", "x86_64"):
+            folder = Path(self.build_lib, PRELOAD)
+            # Should it fail, it is tried again when the first program runs, and says then what is wrong.
+            subprocess.run(["sh", str(folder / "compile.sh"), str(folder)], capture_output=True)
 
 
 class _OnAllCores(build_ext):

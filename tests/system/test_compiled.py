@@ -142,6 +142,11 @@ def test_it_says_that_it_is_compiled(compiled: Path, tmp_path: Path) -> None:
     assert list(compiled.glob("world/dynamics.*.so")) and (compiled / "world" / "dynamics.py").is_file()
 
 
+def test_it_brings_what_programs_of_others_need(compiled: Path) -> None:
+    folder = compiled / "fleet/addons/programs/preload"
+    assert (folder / "libfleet_preload.so").is_file() and os.access(folder / "fleet_launch", os.X_OK)
+
+
 @pytest.mark.parametrize(
     ("name", "options"),
     [

@@ -1,10 +1,11 @@
-"""The library that is preloaded into programs, and what starts them: compiled from C when they are first used."""
+"""The library that is preloaded into programs, and what starts them: compiled with the wheel, or at the first use."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import platform
+import shutil
 import subprocess
 from contextlib import suppress
 from functools import cache
@@ -15,8 +16,6 @@ from netem.private_folder import PrivateFolder
 
 SOURCES = Path(__file__).parent / "preload"
 LIBRARY, LAUNCHER = "libfleet_preload.so", "fleet_launch"
-_FLAGS = ("-O2", "-std=gnu11", "-fno-strict-aliasing")
-_LIBRARY_FLAGS = (*_FLAGS, "-shared", "-fPIC", "-fvisibility=default")
 
 
 class NoLibraryError(FleetError):
@@ -28,8 +27,8 @@ def compiled() -> tuple[Path, Path]:
     """The library and the launcher.
 
     Returns:
-        Their files: those beside the sources, if somebody put them there; else compiled into the user's cache, once
-        for each version of the sources.
+        Their files: those of the wheel, which lie beside the sources; else compiled into the user's cache, once for
+        each version of the sources.
 
     Raises:
         NoLibraryError: it is no Linux on x86-64, or there is no compiler.
@@ -52,15 +51,10 @@ def compiled() -> tuple[Path, Path]:
 
 def compile_preload(folder: Path) -> None:
     """Compile both into a folder. Raises CalledProcessError and OSError: the compiler fails, or there is none."""
-    cc = os.environ.get("CC", "cc").split()
-    library = map(str, sorted(SOURCES.glob("*.c")))
-    _run([*cc, *_LIBRARY_FLAGS, "-o", str(folder / LIBRARY), *library])
-    launcher = [str(SOURCES / "launcher" / "launch.c")]
-    _run([*cc, *_FLAGS, "-o", str(folder / LAUNCHER), *launcher])
-
-
-def _run(command: list[str]) -> None:
-    subprocess.run(command, check=True, capture_output=True, text=True)
+    compiler = (os.environ.get("CC") or "cc").split()[0]
+    if shutil.which(compiler) is None:
+        raise FileNotFoundError(2, "there is no compiler", compiler)
+    subprocess.run(["sh", str(SOURCES / "compile.sh"), str(folder)], check=True, capture_output=True, text=True)
 
 
 def _compile_into(folder: Path) -> None:
@@ -85,7 +79,7 @@ def _cache() -> Path:
 
 
 def _mark() -> str:
-    whole = hashlib.sha256("".join(_LIBRARY_FLAGS).encode())
-    for path in sorted([*SOURCES.glob("*.[ch]"), *SOURCES.glob("launcher/*.c")]):
+    whole = hashlib.sha256()
+    for path in sorted([*SOURCES.glob("*.[ch]"), *SOURCES.glob("launcher/*.c"), SOURCES / "compile.sh"]):
         whole.update(path.read_bytes())
     return whole.hexdigest()[:20]

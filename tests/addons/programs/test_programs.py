@@ -125,3 +125,30 @@ def test_a_log_runs_no_program_of_mine_unasked(
     refused = invoke("verify", log)
     assert refused.exit_code == 2 and "--trust runs it" in refused.stderr, refused.output
     assert not mark.exists()
+
+
+def test_programs_differ_by_vehicle_and_go_beside_laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.py").write_text("import time\ntime.sleep(1)\nprint('one')\n")
+    (tmp_path / "two.sh").write_text("#!/bin/sh\nsleep 1\necho two $1\n")
+    (tmp_path / "two.sh").chmod(0o755)
+    (tmp_path / "own.yaml").write_text(
+        dedent("""
+        name: own
+        title: two programs and a law
+        vehicles: 3
+        duration: 2 s
+        reference: {start: 0 0 10 m, velocity: 0.5 0 0 m/s}
+        formation: {shape: line, spacing: 8 m}
+        graph: {shape: complete}
+        network: {period: 100 ms, links: {"*": delay 20ms}}
+        initial: {scatter: 0.5 m, around: reference}
+        per_vehicle:
+          1: {agent: {program: one.py}}
+          2: {agent: {program: two.sh, arguments: ["{seed}"]}}
+        """).strip()
+    )
+    result = fleet.run("own.yaml", out=tmp_path / "runs")
+    assert lines(result) == ["one", END] and lines(result, 2) == ["two 1", END]
+    assert result.directory is not None
+    assert fleet.open_log(result.directory)["uuv/3/command"]["tau"][-1].any()  # the law steers

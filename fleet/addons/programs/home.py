@@ -37,7 +37,7 @@ class Home:
             disk_before: in place of `disk`, how that was when this life began, see `copy_of_disk`; None: it was empty.
         """
         self._folder = PrivateFolder("home") if disk is None else None
-        self.path = (self._folder.path if self._folder else disk or Path()) / _HOME
+        self.path = (self._folder.path if self._folder else disk or Path()).resolve() / _HOME
         if disk is None and disk_before is not None:
             _copy(disk_before, self.path)
         new = not self.path.exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import struct
 import sys
 from collections import deque
@@ -21,7 +22,7 @@ from fleet.addons.programs.home import copy_of_disk
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
-from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
+from fleet.addons.programs.processes import EPOCH_NS, MEMORY_MB, Process, Processes, ProgramEnded
 from fleet.addons.programs.steering import Vehicle, navigation
 from fleet.addons.programs.streams import Streams
 from world.plugins.kept_files import kept_folder
@@ -285,6 +286,8 @@ class _Life:
             return self.processes.refused
         if not status:
             return ""
+        if status == -signal.SIGXFSZ:
+            return f"a file of it has more than {MEMORY_MB} MiB, the most of an agent"
         return f"exit status {status}" if status > 0 else f"ended by signal {-status}"
 
     def _end(self, problem: str) -> list[tuple[int, str, str]]:

@@ -27,7 +27,8 @@ from fleet.errors import FleetError
 NEVER = 2**63 - 1
 EPOCH_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00 UTC
 MOST_PROCESSES = 256  # of one program at a time
-MEMORY_MB = 0  # of address space; 0: any, since some run times reserve terabytes and use little
+MEMORY_MB = 2048  # of all its processes together, in use: some run times reserve terabytes of addresses. And of each file
+LOOK_S = 0.25  # of wall time between two looks at what its processes use
 CPU_S = 10.0  # of computing in one turn
 STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
 MOST_TURNS = 20_000  # of one moment: processes that wake each other without an end
@@ -36,6 +37,7 @@ _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _HAS_TERMINAL = 2  # of the configuration
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
 _HEAD = struct.Struct("<IB")
+_LOOK = struct.pack("ll", 0, round(LOOK_S * 1e6))  # a timeval
 _KEPT = ("PATH", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")  # of our environment; runs depend on the rest no more
 _OF_EVERYBODY = ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")
 # One thread in place of five pools of zenoh: they would wake each other, and no two threads run at a time anyway.
@@ -125,7 +127,7 @@ class Processes:
         self.home = self._home.path
         self._processes: dict[int, Process] = {}
         self._next_pid = 1000 + agent
-        self._gone: list[int] = []
+        self._looked = monotonic()
         self.status: int | None = None  # of the first process, as of subprocess.Popen; None: it runs
         self.refused = ""  # what the library has refused, in its words
         self._texts = [_Text(), _Text()]
@@ -159,7 +161,7 @@ class Processes:
         library, launcher = compiled()
         ours, its = socket.socketpair()
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _LOOK)
         variables = _environment(self._seed) | dict(environment)
         at_terminal = bool(self._flags & _HAS_TERMINAL) and not self._popens
         outputs = ("-", "-") if at_terminal else (out, err)
@@ -252,6 +254,8 @@ class Processes:
                     raise ProgramEnded(f"its processes had {MOST_TURNS} turns at one moment, and none waits")
                 if process.alive:
                     self._turn(process)
+            if monotonic() - self._looked > LOOK_S:
+                self._check_memory()
 
     def _turn(self, process: Process) -> None:
         data = bytes(process.inbox) + _HEAD.pack(9, ord("T")) + struct.pack("<q", self.now_ns)
@@ -309,8 +313,10 @@ class Processes:
         elif kind == 71:  # G: a signal for another process
             which, number = struct.unpack("<qB", data)
             self._answer(process, b"U" + bytes((self._kill(process, which, number),)))
-        elif kind == 89:  # Y: the kernel's number of a process that was started
-            process.real = int.from_bytes(data, "little")
+        elif kind == 89:  # Y: the kernel's number of a process that it has started
+            number, real = struct.unpack("<II", data)
+            if number in self._processes:
+                self._processes[number].real = real
         elif kind == 82:  # R: it does something that is not emulated
             self.refused = data.decode("utf-8", "replace")
         elif kind != 78:  # N comes with a descriptor, see `_adopt`
@@ -332,7 +338,7 @@ class Processes:
             self._answer(parent, b"J" + bytes(_CONFIGURATION.size) + b"\0\0")
             return
         channel = socket.socket(fileno=descriptor)
-        channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
+        channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _LOOK)
         child = self._add(channel, parent.pid, parent.family)
         child.deadline = 0
         self._answer(parent, b"J" + self._configuration(child))
@@ -365,9 +371,10 @@ class Processes:
         self.send(ord("C"), process.pid.to_bytes(4, "little"), family=process.family)
 
     def _look_after(self, process: Process, begun: tuple[float, float] | None) -> tuple[float, float]:
-        """Called each second in which a process has not answered."""
+        """Called again and again while a process does not answer."""
         if self._attached is not None:
             return 0.0, 0.0  # somebody thinks
+        self._check_memory()
         leader = self._popens[process.family].pid
         used = sum(map(_cpu_s, _group(leader)))
         if begun is None:
@@ -387,6 +394,17 @@ class Processes:
         if at is None or not at.gdb or self._gdb is not None or self.now_ns < at.at_ns or process is not self._first:
             return
         self._gdb = start_gdb(process.real)
+
+    def _check_memory(self) -> None:
+        """Raise ProgramEnded if its processes use too much, before the machine has none left."""
+        self._looked = monotonic()
+        pids = [process.real for process in self._processes.values() if process.real]
+        most_kb = MEMORY_MB << 10
+        # What processes share counts for each of them at first; the exact figure takes the kernel long.
+        if sum(_kb(pid, "status", ("RssAnon:", "RssShmem:")) for pid in pids) <= most_kb:
+            return
+        if (used := sum(_kb(pid, "smaps_rollup", ("Pss_Anon:", "Pss_Shmem:")) for pid in pids)) > most_kb:
+            raise ProgramEnded(f"it uses {used >> 10} MiB of memory; {MEMORY_MB} MiB are the most of an agent")
 
     def _show_stack(self, leader: int, number: int) -> None:
         with suppress(OSError):
@@ -480,6 +498,9 @@ class _Text:
         while data := os.pread(self.file, 1 << 20, self._at):
             parts.append(data)
             self._at += len(data)
+        if self._at:  # no process of the program runs now, and all of them append
+            os.ftruncate(self.file, 0)
+            self._at = 0
         if len(parts) == 1 and not (whole and self._rest):
             return []
         lines = b"".join(parts).split(b"\n")
@@ -532,6 +553,15 @@ def _group(leader: int) -> list[int]:
                 if os.getpgid(int(name)) == leader:
                     found.append(int(name))
     return found
+
+
+def _kb(pid: int, file: str, keys: tuple[str, ...]) -> int:
+    """The sum of some figures of a process's memory [kB]."""
+    try:
+        lines = Path(f"/proc/{pid}/{file}").read_text().splitlines()
+    except OSError:
+        return 0
+    return sum(int(line.split()[1]) for line in lines if line.startswith(keys))
 
 
 def _cpu_s(pid: int) -> float:

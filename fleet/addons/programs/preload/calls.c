@@ -11,13 +11,13 @@ static const u8 who[] = {
     /* memory, and what a thread says about itself */
     CALL(mmap, KERNEL), CALL(munmap, KERNEL), CALL(mprotect, KERNEL), CALL(mremap, KERNEL), CALL(brk, KERNEL), CALL(madvise, KERNEL),
     CALL(msync, KERNEL), CALL(mincore, KERNEL), CALL(mlock, KERNEL), CALL(munlock, KERNEL), CALL(mlockall, KERNEL), CALL(munlockall, KERNEL),
-    CALL(mlock2, KERNEL), CALL(membarrier, KERNEL), CALL(arch_prctl, KERNEL), CALL(sigaltstack, KERNEL), CALL(set_robust_list, KERNEL),
-    CALL(get_robust_list, KERNEL), CALL(rseq, ABSENT), CALL(restart_syscall, KERNEL), CALL(mbind, KERNEL), CALL(get_mempolicy, KERNEL),
+    CALL(mlock2, KERNEL), CALL(membarrier, KERNEL), CALL(arch_prctl, KERNEL), CALL(sigaltstack, KERNEL), CALL(set_robust_list, PROCESS),
+    CALL(get_robust_list, ABSENT), CALL(rseq, ABSENT), CALL(restart_syscall, KERNEL), CALL(mbind, KERNEL), CALL(get_mempolicy, KERNEL),
     CALL(set_mempolicy, KERNEL), CALL(pkey_alloc, ABSENT), CALL(pkey_free, ABSENT), CALL(pkey_mprotect, ABSENT), CALL(personality, KERNEL),
     CALL(getpriority, PROCESS), CALL(setpriority, PROCESS), CALL(sched_setparam, PROCESS), CALL(sched_getparam, PROCESS),
     CALL(sched_setscheduler, PROCESS), CALL(sched_getscheduler, PROCESS), CALL(sched_get_priority_max, KERNEL), CALL(sched_get_priority_min, KERNEL),
     CALL(sched_rr_get_interval, KERNEL), CALL(sched_setattr, ABSENT), CALL(sched_getattr, ABSENT), CALL(ioprio_get, KERNEL), CALL(ioprio_set, KERNEL),
-    CALL(memfd_create, KERNEL), CALL(memfd_secret, ABSENT), CALL(rt_sigreturn, KERNEL), CALL(kcmp, ABSENT),
+    CALL(memfd_create, KERNEL), CALL(rt_sigreturn, KERNEL), CALL(kcmp, ABSENT),
     /* who it is */
     CALL(getuid, KERNEL), CALL(geteuid, KERNEL), CALL(getgid, KERNEL), CALL(getegid, KERNEL), CALL(getresuid, KERNEL), CALL(getresgid, KERNEL),
     CALL(getgroups, KERNEL), CALL(setuid, KERNEL), CALL(setgid, KERNEL), CALL(setreuid, KERNEL), CALL(setregid, KERNEL), CALL(setresuid, KERNEL),
@@ -26,9 +26,9 @@ static const u8 who[] = {
     /* open files; those that wait are below */
     CALL(lseek, KERNEL), CALL(pread64, KERNEL), CALL(pwrite64, KERNEL), CALL(preadv, KERNEL), CALL(pwritev, KERNEL), CALL(preadv2, KERNEL),
     CALL(pwritev2, KERNEL), CALL(fsync, KERNEL), CALL(fdatasync, KERNEL), CALL(sync, KERNEL), CALL(syncfs, KERNEL), CALL(sync_file_range, KERNEL),
-    CALL(ftruncate, KERNEL), CALL(fallocate, KERNEL), CALL(fadvise64, KERNEL), CALL(readahead, KERNEL), CALL(fchdir, KERNEL), CALL(fchmod, KERNEL),
-    CALL(fchown, KERNEL), CALL(getdents, KERNEL), CALL(getdents64, KERNEL), CALL(fstatfs, KERNEL), CALL(fgetxattr, KERNEL), CALL(fsetxattr, KERNEL),
-    CALL(flistxattr, KERNEL), CALL(fremovexattr, KERNEL), CALL(copy_file_range, KERNEL), CALL(pipe, KERNEL), CALL(pipe2, KERNEL), CALL(eventfd, KERNEL),
+    CALL(ftruncate, KERNEL), CALL(fallocate, KERNEL), CALL(fadvise64, KERNEL), CALL(readahead, KERNEL), CALL(fchdir, KERNEL), CALL(fchmod, FILES),
+    CALL(fchown, FILES), CALL(getdents, KERNEL), CALL(getdents64, KERNEL), CALL(fstatfs, KERNEL), CALL(fgetxattr, KERNEL), CALL(fsetxattr, FILES),
+    CALL(flistxattr, KERNEL), CALL(fremovexattr, FILES), CALL(copy_file_range, KERNEL), CALL(pipe, KERNEL), CALL(pipe2, KERNEL), CALL(eventfd, KERNEL),
     CALL(eventfd2, KERNEL), CALL(epoll_create, KERNEL), CALL(epoll_create1, KERNEL), CALL(inotify_init, KERNEL), CALL(inotify_init1, KERNEL),
     CALL(inotify_rm_watch, KERNEL),
     /* what a program can do without, as with an older kernel */
@@ -38,9 +38,10 @@ static const u8 who[] = {
     CALL(shmget, ABSENT), CALL(shmat, ABSENT), CALL(shmdt, ABSENT), CALL(shmctl, ABSENT), CALL(semget, ABSENT), CALL(semop, ABSENT), CALL(semctl, ABSENT),
     CALL(semtimedop, ABSENT), CALL(msgget, ABSENT), CALL(msgsnd, ABSENT), CALL(msgrcv, ABSENT), CALL(msgctl, ABSENT), CALL(mq_open, ABSENT), CALL(mq_unlink, ABSENT),
     CALL(unshare, ABSENT), CALL(setns, ABSENT), CALL(mount, ABSENT), CALL(umount2, ABSENT), CALL(chroot, ABSENT), CALL(pivot_root, ABSENT),
-    CALL(landlock_create_ruleset, ABSENT), CALL(add_key, ABSENT), CALL(request_key, ABSENT), CALL(keyctl, ABSENT), CALL(fanotify_init, ABSENT),
+    CALL(add_key, ABSENT), CALL(request_key, ABSENT), CALL(keyctl, ABSENT), CALL(fanotify_init, ABSENT),
     CALL(process_vm_readv, ABSENT), CALL(process_vm_writev, ABSENT), CALL(open_by_handle_at, ABSENT), CALL(migrate_pages, ABSENT), CALL(move_pages, ABSENT),
-    [449 /* futex_waitv */] = ABSENT, [451 /* cachestat */] = ABSENT, [435 + 4 /* faccessat2 */] = FILES, [334 + 134 /* the last */] = REFUSED,
+    [435 + 4 /* faccessat2 */] = FILES, [440 /* process_madvise */] = ABSENT, [442 ... 451 /* to cachestat */] = ABSENT,
+    [452 ... 475 /* what is newer than this library, such as fchmodat2 */] = ABSENT,
     /* ours */
     CALL(open, FILES), CALL(creat, FILES), CALL(openat, FILES), CALL(openat2, FILES), CALL(getcwd, FILES), CALL(stat, FILES), CALL(lstat, FILES),
     CALL(fstat, FILES), CALL(newfstatat, FILES), CALL(statx, FILES), CALL(access, FILES), CALL(readlink, FILES), CALL(chdir, FILES), CALL(statfs, FILES),
@@ -65,11 +66,13 @@ static const u8 who[] = {
     CALL(clock_settime, CLOCK), CALL(settimeofday, CLOCK),
     CALL(rt_sigaction, SIGNAL), CALL(rt_sigprocmask, SIGNAL), CALL(rt_sigpending, SIGNAL), CALL(rt_sigtimedwait, SIGNAL), CALL(pause, SIGNAL),
     CALL(rt_sigsuspend, SIGNAL), CALL(signalfd, SIGNAL), CALL(signalfd4, SIGNAL), CALL(tkill, SIGNAL), CALL(tgkill, SIGNAL),
+    CALL(rt_sigqueueinfo, SIGNAL), CALL(rt_tgsigqueueinfo, SIGNAL),
     CALL(clone, PROCESS), CALL(clone3, PROCESS), CALL(fork, PROCESS), CALL(vfork, PROCESS), CALL(execve, PROCESS), CALL(execveat, PROCESS), CALL(exit, PROCESS),
     CALL(exit_group, PROCESS), CALL(wait4, PROCESS), CALL(waitid, PROCESS), CALL(kill, PROCESS), CALL(getpid, PROCESS), CALL(getppid, PROCESS),
     CALL(gettid, PROCESS), CALL(getpgrp, PROCESS), CALL(getpgid, PROCESS), CALL(getsid, PROCESS), CALL(setpgid, PROCESS), CALL(setsid, PROCESS),
     CALL(set_tid_address, PROCESS), CALL(sched_getaffinity, PROCESS), CALL(sched_setaffinity, PROCESS), CALL(sched_yield, PROCESS), CALL(uname, PROCESS),
-    CALL(prctl, PROCESS),
+    CALL(prctl, PROCESS), CALL(sethostname, PROCESS), CALL(setdomainname, PROCESS), CALL(syslog, PROCESS), CALL(vhangup, PROCESS),
+    CALL(acct, PROCESS),
     CALL(futex, FUTEX), CALL(getrandom, RANDOM),
 };
 
@@ -101,6 +104,7 @@ __attribute__((constructor)) static void begin(void) {
   setvbuf(stdout, 0, _IOLBF, BUFSIZ); /* a line is to be seen when it is printed, as on a terminal */
   say_hello();
   seed_chance(config.seed);
+  limit_files(0);
   begin_files();
   begin_threads();
   u8 *chance = (u8 *)getauxval(AT_RANDOM);

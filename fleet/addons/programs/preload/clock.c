@@ -19,8 +19,8 @@ struct timer {
   long value;
   i64 deadline, interval;
 };
-enum { ALARM = 0, TIMERS = 512 };
-static struct timer timers[TIMERS]; /* the first one is that of setitimer and alarm */
+enum { FREE = 3, TIMERS = 512 };
+static struct timer timers[TIMERS]; /* the first three are those of setitimer and alarm */
 
 static int is_real(clockid_t clock) {
   return clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE || clock == CLOCK_TAI || clock == CLOCK_REALTIME_ALARM;
@@ -46,12 +46,17 @@ static struct timespec parts(i64 ns) { return (struct timespec){ns / SECOND, ns 
 static struct timeval micros(i64 ns) { return (struct timeval){ns / SECOND, ns % SECOND / 1000}; }
 static i64 of_micros(const struct timeval *t) { return t->tv_sec * SECOND + t->tv_usec * 1000; }
 
+static int is_wrong(i64 seconds, i64 ns) { return seconds < 0 || ns < 0 || ns >= SECOND; }
+static int is_wrong_span(const struct timespec *t) { return t && is_wrong(t->tv_sec, t->tv_nsec); }
+static int is_wrong_clock(clockid_t clock) { return clock > CLOCK_TAI || clock == 10 /* unused */; }
+
 u64 counter(void) {
   spins();
   return UPTIME + now; /* of a processor with 1 GHz */
 }
 
 int fast_clock_gettime(clockid_t clock, struct timespec *to) {
+  if (is_wrong_clock(clock)) return -EINVAL;
   spins();
   *to = parts(clock_at(clock));
   return 0;
@@ -100,7 +105,11 @@ void fire_timers(void) {
     if (!times) continue;
     t->overrun = times - 1;
     if (t->descriptor >= 0) SYS(SYS_write, t->descriptor, &times, sizeof times);
-    else if (t->signal) raise_signal(t->signal, t->thread);
+    else if (t->signal) {
+      siginfo_t information = {.si_signo = t->signal, .si_code = k < FREE ? SI_KERNEL : SI_TIMER};
+      if (k >= FREE) information.si_timerid = k, information.si_overrun = t->overrun, information.si_ptr = (void *)t->value;
+      raise_with(t->signal, t->thread, &information);
+    }
   }
 }
 
@@ -110,7 +119,7 @@ void forget_timers(void) { /* a child inherits those that are files */
 }
 
 static int new_timer(void) {
-  for (int k = 1; k < TIMERS; k++)
+  for (int k = FREE; k < TIMERS; k++)
     if (!timers[k].used) {
       timers[k] = (struct timer){.used = 1, .descriptor = -1, .deadline = NEVER};
       return k;
@@ -129,19 +138,22 @@ static void set_timer(struct timer *t, const struct itimerspec *to, int absolute
   t->deadline = value == 0 ? NEVER : absolute ? time_of(t->clock, &to->it_value) : later(value);
 }
 
-static long set_alarm(const struct itimerval *to, struct itimerval *before) {
-  struct timer *t = &timers[ALARM];
+static long set_alarm(int which, const struct itimerval *to, struct itimerval *before) {
+  static const u8 signals[] = {SIGALRM, SIGVTALRM, SIGPROF}; /* the processor's time goes with the simulated time */
+  if (which < 0 || which >= FREE) return -EINVAL;
+  struct timer *t = &timers[which];
   i64 left = t->used && t->deadline != NEVER ? t->deadline - now : 0;
   if (before) *before = (struct itimerval){micros(t->used ? t->interval : 0), micros(left)};
   if (!to) return 0;
+  if (is_wrong(to->it_value.tv_sec, to->it_value.tv_usec * 1000) || is_wrong(to->it_interval.tv_sec, to->it_interval.tv_usec * 1000)) return -EINVAL;
   i64 value = of_micros(&to->it_value);
-  *t = (struct timer){.used = 1, .descriptor = -1, .signal = SIGALRM, .interval = of_micros(&to->it_interval),
+  *t = (struct timer){.used = 1, .descriptor = -1, .signal = signals[which], .interval = of_micros(&to->it_interval),
                       .deadline = value ? later(value) : NEVER};
   return 0;
 }
 
 static struct timer *by_descriptor(int descriptor) {
-  for (int k = 1; k < TIMERS; k++)
+  for (int k = FREE; k < TIMERS; k++)
     if (timers[k].used && timers[k].descriptor == descriptor) return &timers[k];
   return 0;
 }
@@ -216,21 +228,23 @@ long clock_call(long number, const long a[6]) {
     case SYS_time: return fast_time((void *)a[0]);
     case SYS_getcpu: return fast_getcpu((void *)a[0], (void *)a[1], 0);
     case SYS_nanosleep: {
+      if (is_wrong_span((void *)a[0])) return -EINVAL;
       i64 by = span((void *)a[0]);
       return sleep_until(later(by), by, (void *)a[1]);
     }
     case SYS_clock_nanosleep: {
+      if (is_wrong_clock(a[0]) || is_wrong_span((void *)a[2])) return -EINVAL;
       int absolute = a[1] & TIMER_ABSTIME;
       i64 until = absolute ? time_of(a[0], (void *)a[2]) : later(span((void *)a[2]));
       return sleep_until(until, until - now, absolute ? 0 : (void *)a[3]);
     }
     case SYS_alarm: {
       struct itimerval before, to = {{0, 0}, {(unsigned)a[0], 0}};
-      set_alarm(&to, &before);
+      set_alarm(ITIMER_REAL, &to, &before);
       return before.it_value.tv_sec + (before.it_value.tv_usec > 0);
     }
-    case SYS_setitimer: return (int)a[0] == ITIMER_REAL ? set_alarm((void *)a[1], (void *)a[2]) : 0; /* computing takes no time */
-    case SYS_getitimer: return (int)a[0] == ITIMER_REAL ? set_alarm(0, (void *)a[1]) : 0;
+    case SYS_setitimer: return set_alarm(a[0], (void *)a[1], (void *)a[2]);
+    case SYS_getitimer: return set_alarm(a[0], 0, (void *)a[1]);
     case SYS_timerfd_create: return open_timer(a[0], a[1]);
     case SYS_timerfd_settime: return set_file_timer(a[0], a[1], (void *)a[2], (void *)a[3]);
     case SYS_timerfd_gettime: {
@@ -239,7 +253,7 @@ long clock_call(long number, const long a[6]) {
       *(struct itimerspec *)a[1] = shown(t);
       return 0;
     }
-    case SYS_timer_create: return make_signal_timer(a[0], (void *)a[1], (void *)a[2]);
+    case SYS_timer_create: if (is_wrong_clock(a[0])) return -EINVAL; return make_signal_timer(a[0], (void *)a[1], (void *)a[2]);
     case SYS_times: {
       clock_t ticks = now / 10000000;
       if (a[0]) *(struct tms *)a[0] = (struct tms){ticks, 0, 0, 0};
@@ -263,10 +277,11 @@ long clock_call(long number, const long a[6]) {
     case SYS_settimeofday: return -EPERM;
   }
   int k = a[0];
-  if (k <= 0 || k >= TIMERS || !timers[k].used) return -EINVAL;
+  if (k < FREE || k >= TIMERS || !timers[k].used) return -EINVAL;
   struct timer *t = &timers[k];
   switch (number) {
     case SYS_timer_settime:
+      if (is_wrong_span(&((struct itimerspec *)a[2])->it_value)) return -EINVAL;
       if (a[3]) *(struct itimerspec *)a[3] = shown(t);
       set_timer(t, (void *)a[2], a[1] & TIMER_ABSTIME);
       return 0;

@@ -35,6 +35,7 @@ static void forget(int fd) {
   if (!in_table(fd)) return;
   struct descriptor *d = &descriptors[fd];
   if (d->kind == TIMER) close_timer(fd);
+  if (d->kind == SIGNALS) close_signals(fd);
   if (d->sock && !--d->sock->references) release_sock(d->sock);
   *d = (struct descriptor){0};
 }
@@ -52,7 +53,7 @@ static long duplicated(long fd, int from) {
   if (in_table(from)) {
     descriptors[fd] = descriptors[from];
     if (descriptors[fd].sock) descriptors[fd].sock->references++;
-    if (descriptors[fd].kind == TIMER) descriptors[fd].kind = POLLABLE; /* the timer is that of the first */
+    if (descriptors[fd].kind == TIMER || descriptors[fd].kind == SIGNALS) descriptors[fd].kind = POLLABLE; /* the timer is that of the first */
   }
   return fd;
 }
@@ -89,7 +90,9 @@ int wait_ready(int fd, int events, int flags, i64 timeout) {
     await_terminal(fd);
     return 0;
   }
-  if (flags & MSG_DONTWAIT || SYS(SYS_fcntl, fd, F_GETFL) & O_NONBLOCK) {
+  long mode = SYS(SYS_fcntl, fd, F_GETFL);
+  if ((mode & O_ACCMODE) == (events & POLLIN ? O_WRONLY : O_RDONLY)) return 0; /* the kernel says that it is the wrong end */
+  if (flags & MSG_DONTWAIT || mode & O_NONBLOCK) {
     spins();
     return 0;
   }
@@ -144,7 +147,11 @@ static long write_some(int fd, const void *from, size_t size) {
 
 static long write_to(long number, int fd, const void *from, size_t size) {
   int kind = kind_of(fd);
-  if (kind == PLAIN || kind == CHANCE) return SYS(number, fd, from, size);
+  if (kind == PLAIN || kind == CHANCE) {
+    long r = SYS(number, fd, from, size);
+    if (r == -EFBIG) raise_signal(SIGXFSZ, me);
+    return r;
+  }
   const struct iovec one = {(void *)from, size}, *parts = number == SYS_write ? &one : from;
   size_t n = number == SYS_write ? 1 : size;
   if (kind == DATAGRAMS || kind == STREAM || kind == ROUTES) {
@@ -263,14 +270,50 @@ static long close_many(unsigned first, unsigned last, unsigned flags) {
   return 0;
 }
 
+/* The program opens descriptors below its limit, and we above it: the limit is lifted while we make one of ours. */
+static struct rlimit files_limit = {MOST_FILES, MOST_FILES};
+
+void limit_files(int lifted) {
+  struct rlimit most = {lifted ? DESCRIPTORS : files_limit.rlim_cur, DESCRIPTORS};
+  SYS(SYS_prlimit64, 0, RLIMIT_NOFILE, &most, 0);
+}
+
+long own_descriptor(int fd) {
+  limit_files(1);
+  long own = SYS(SYS_fcntl, fd, F_DUPFD_CLOEXEC, FIRST_OWN);
+  limit_files(0);
+  return own;
+}
+
 static long limit(long pid, int resource, const struct rlimit *to, struct rlimit *before) {
-  /* The program sees no descriptors of ours: it may use all up to the first one. */
-  long r = SYS(SYS_prlimit64, pid, resource, resource == RLIMIT_NOFILE || resource == RLIMIT_STACK ? 0 : to, before);
-  if (!r && before && resource == RLIMIT_NOFILE) before->rlim_cur = before->rlim_max = 1024;
-  return r;
+  int own = pid == 0 || pid == (long)config.pid;
+  if (resource == RLIMIT_NOFILE) {
+    if (before) *before = files_limit;
+    if (!to || !own) return 0;
+    if (to->rlim_cur > to->rlim_max) return -EINVAL;
+    if (to->rlim_max > files_limit.rlim_max) return -EPERM;
+    files_limit = *to;
+    limit_files(0);
+    return 0;
+  }
+  /* Memory begins where the stack's limit says; the two others depend on the host and its other processes. */
+  int kept = resource == RLIMIT_STACK || resource == RLIMIT_CPU || resource == RLIMIT_NPROC;
+  return SYS(SYS_prlimit64, own ? 0 : pid, resource, kept ? 0 : to, before);
+}
+
+/* Calls whose first argument is a descriptor: none of ours may be read, written or closed. */
+static int names_own(long number, const long a[6]) {
+  switch (number) {
+    case SYS_read: case SYS_readv: case SYS_write: case SYS_writev: case SYS_dup: case SYS_dup2: case SYS_dup3: case SYS_fcntl: case SYS_ioctl:
+    case SYS_flock: case SYS_epoll_wait: case SYS_epoll_pwait: case SYS_epoll_pwait2: return is_own(a[0]);
+    case SYS_sendfile: return is_own(a[0]) || is_own(a[1]);
+    case SYS_epoll_ctl: return is_own(a[0]) || is_own(a[2]);
+    default: return 0;
+  }
 }
 
 long descriptor_call(long number, const long a[6]) {
+  if (names_own(number, a)) return -EBADF;
   switch (number) {
     case SYS_read:
     case SYS_readv: return read_from(number, a[0], (void *)a[1], a[2]);
@@ -343,7 +386,7 @@ long descriptor_call(long number, const long a[6]) {
       }
       return done;
     }
-    case SYS_prlimit64: return limit(a[0], a[1], (void *)a[2], (void *)a[3]);
+    case SYS_prlimit64: return limit((int)a[0], a[1], (void *)a[2], (void *)a[3]);
     case SYS_getrlimit: return limit(0, a[0], 0, (void *)a[1]);
     default: return limit(0, a[0], (void *)a[1], 0); /* setrlimit */
   }

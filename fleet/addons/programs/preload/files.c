@@ -7,7 +7,7 @@
 #include <linux/stat.h>
 #include <stdio.h>
 #include <sys/stat.h>
-#include <sys/un.h>
+#include <sys/sysmacros.h>
 #include <sys/xattr.h>
 
 #define HOME "/home/auv"
@@ -61,36 +61,64 @@ static void normalise(char *path) {
   *to = 0;
 }
 
-static int is_own_folder(const char *real) { return below(real, home, strlen(home)); }
+int is_own_folder(const char *real) { return below(real, home, strlen(home)); }
 
-/* The current folder as the program knows it. */
-static const char *current_folder(char *buffer) {
-  long n = SYS(SYS_getcwd, buffer, 4096);
-  if (n <= 0) return "/";
+/* A path as the program knows it, in its place; `buffer` has 4096 bytes. */
+const char *shown_path(char *buffer) {
   size_t own = strlen(home);
   if (!is_own_folder(buffer)) return buffer;
-  static const char *const names[] = {"/.shm", "/.tmp", "/.run"}, *const shown[] = {"/dev/shm", "/tmp", "/run"};
-  for (size_t k = 0; k < LENGTH(names); k++)
-    if (below(buffer + own, names[k], strlen(names[k]))) {
-      size_t was = own + strlen(names[k]), is = strlen(shown[k]);
-      memmove(buffer + is, buffer + was, strlen(buffer + was) + 1);
-      memcpy(buffer, shown[k], is);
-      return buffer;
-    }
-  size_t is = strlen(HOME);
-  if (strlen(buffer) - own + is >= 4096) return buffer;
-  memmove(buffer + is, buffer + own, strlen(buffer + own) + 1);
-  memcpy(buffer, HOME, is);
+  static const char *const names[] = {"/.shm", "/.tmp", "/.run", ""}, *const shown[] = {"/dev/shm", "/tmp", "/run", HOME};
+  size_t k = 0;
+  while (!below(buffer + own, names[k], strlen(names[k]))) k++;
+  size_t was = own + strlen(names[k]), is = strlen(shown[k]);
+  if (strlen(buffer) - was + is >= 4096) return buffer;
+  memmove(buffer + is, buffer + was, strlen(buffer + was) + 1);
+  memcpy(buffer, shown[k], is);
   return buffer;
 }
 
-/* Where the kernel finds what the program calls `path`; `buffer` has 4096 bytes. */
-const char *real_path(const char *path, char *buffer) {
+static const char *current_folder(char *buffer) {
+  long n = SYS(SYS_getcwd, buffer, 4096);
+  return n <= 0 ? "/" : shown_path(buffer);
+}
+
+/* What a link holds, as the program has written it. */
+static long read_link(int folder, const char *real, char *to, size_t size) {
+  static char target[4096];
+  long n = SYS(SYS_readlinkat, folder, real, target, sizeof target - 1);
+  if (n < 0) return n;
+  target[n] = 0;
+  shown_path(target);
+  n = strlen(target);
+  if ((size_t)n > size) n = size;
+  memcpy(to, target, n);
+  return n;
+}
+
+static int is_ours(const char *whole) {
+  for (size_t k = 0; k < LENGTH(folders); k++)
+    if (below(whole, folders[k].from, strlen(folders[k].from))) return 1;
+  return 0;
+}
+
+/* A folder that is open, as the program knows it. */
+static const char *open_folder(int fd, char *buffer) {
+  char name[40];
+  snprintf(name, sizeof name, "/proc/self/fd/%d", fd);
+  long n = SYS(SYS_readlink, name, buffer, 4095);
+  if (n <= 0) return 0;
+  buffer[n] = 0;
+  return shown_path(buffer);
+}
+
+/* Where the kernel finds what the program calls `path` in a folder; `buffer` has 4096 bytes. */
+const char *real_path_at(int at, const char *path, char *buffer) {
   static char whole[8192];
   if (!path) return path;
   if (*path != '/') {
     if (!strstr(path, "..")) return path;
-    const char *folder = current_folder(whole);
+    const char *folder = at == AT_FDCWD ? current_folder(whole) : open_folder(at, whole);
+    if (!folder) return path;
     if (folder != whole) memcpy(whole, folder, strlen(folder) + 1);
     size_t n = strlen(whole);
     if (n + strlen(path) + 2 > sizeof whole) return path;
@@ -124,31 +152,123 @@ const char *real_path(const char *path, char *buffer) {
       const char *found = joined(buffer, home, rest);
       return found ? found : path;
     }
-  if (path == whole) return joined(buffer, whole, "") ? buffer : path;
-  if (*path == '/') return path;
+  if (path != whole && *path == '/' && !is_ours(path)) return path; /* ".." behind a link is the kernel's to follow */
   return joined(buffer, whole, "") ? buffer : path;
 }
+const char *real_path(const char *path, char *buffer) { return real_path_at(AT_FDCWD, path, buffer); }
 
-/* Whether a file may be changed: it is in the agent's folders, or no file of the disk. */
-static int may_change(int folder, const char *real) {
-  if (*real == '/') return is_own_folder(real) || (below(real, "/dev", 4) && !below(real, "/dev/shm", 8)) || below(real, "/proc/self", 10);
-  char name[40];
+/* Where a path leads when all links are followed, as the kernel sees it; 0: to nothing; "/": that cannot be told. */
+static const char *leads_to(int folder, const char *real) {
   static char at[4096];
-  if (folder == AT_FDCWD) snprintf(name, sizeof name, "/proc/self/cwd");
-  else snprintf(name, sizeof name, "/proc/self/fd/%d", folder);
+  long fd = SYS(SYS_openat, folder, real, O_PATH | O_CLOEXEC, 0);
+  if (fd == -EMFILE) { /* the program's own limit */
+    limit_files(1);
+    fd = SYS(SYS_openat, folder, real, O_PATH | O_CLOEXEC, 0);
+    limit_files(0);
+  }
+  if (fd < 0) return fd == -EMFILE || fd == -ENFILE || fd == -ENOMEM ? "/" : 0;
+  char name[40];
+  snprintf(name, sizeof name, "/proc/self/fd/%ld", fd);
   long n = SYS(SYS_readlink, name, at, sizeof at - 1);
-  if (n <= 0) return 1; /* the kernel will say what is wrong */
+  SYS(SYS_close, fd);
+  if (n <= 0) return 0;
   at[n] = 0;
-  return is_own_folder(at);
+  return at;
+}
+
+/* A file that the kernel knows by this name may be changed: it is in the agent's folders, or no file of the disk. */
+static int is_changeable(const char *at) {
+  static const char *const devices[] = {"/dev/null", "/dev/zero", "/dev/full", "/dev/tty", "/dev/ptmx", "/dev/random", "/dev/urandom"};
+  if (*at != '/' || is_own_folder(at) || !strncmp(at, "/memfd:", 7)) return 1; /* without a name: a pipe, a socket */
+  for (size_t k = 0; k < LENGTH(devices); k++)
+    if (!strcmp(at, devices[k])) return 1;
+  char own[32];
+  return below(at, own, snprintf(own, sizeof own, "/proc/%ld", real_pid())) || below(at, "/dev/pts", 8);
+}
+
+/* Whether a name in a folder may be made, removed or changed. */
+static int may_change_name(int folder, const char *real) {
+  static char parent[4096];
+  size_t n = strlen(real);
+  while (n > 1 && real[n - 1] == '/') n--;
+  while (n && real[n - 1] != '/') n--;
+  if (n >= sizeof parent) return 0;
+  memcpy(parent, n ? real : ".", n ? n : 1);
+  parent[n ? n : 1] = 0;
+  const char *at = leads_to(folder, parent);
+  return !at || is_own_folder(at); /* without a folder the kernel will say what is wrong */
+}
+
+static int may_change_open(int fd);
+
+/* Whether a file may be changed that is there, or that is made by opening it. Links are followed, since a program makes
+   links to wherever it likes. */
+int may_change(int folder, const char *real) {
+  static char target[4096], path[8192];
+  if (!*real && folder != AT_FDCWD) return may_change_open(folder);
+  for (int depth = 0; depth < 40; depth++) {
+    const char *at = leads_to(folder, real);
+    if (at) return is_changeable(at);
+    if (!may_change_name(folder, real)) return 0;
+    long n = SYS(SYS_readlinkat, folder, real, target, sizeof target - 1);
+    if (n <= 0) return 1;
+    target[n] = 0; /* a link to a file that is not there yet */
+    const char *slash = strrchr(real, '/');
+    size_t before = *target != '/' && slash ? (size_t)(slash + 1 - real) : 0;
+    if (before + n >= sizeof path) return 0;
+    memmove(path, real, before);
+    memcpy(path + before, target, n + 1);
+    real = path;
+  }
+  return 0;
+}
+
+static int may_change_open(int fd) {
+  char name[40];
+  snprintf(name, sizeof name, "/proc/self/fd/%d", fd);
+  return SYS(SYS_fcntl, fd, F_GETFD) < 0 || may_change(AT_FDCWD, name); /* the kernel says that it is not open */
+}
+
+static int is_chance(const struct stat *s) { return s->st_rdev == makedev(1, 8) || s->st_rdev == makedev(1, 9); }
+
+static int is_harmless_device(const struct stat *s) { /* null, zero, full; tty, ptmx; terminals */
+  unsigned major = major(s->st_rdev), minor = minor(s->st_rdev);
+  return S_ISCHR(s->st_mode) && (major == 1 ? minor == 3 || minor == 5 || minor == 7 : major == 5 ? minor == 0 || minor == 2 : major >= 136 && major < 144);
+}
+
+/* What a link is to hold: a path of the root as the kernel knows it; others are looked up beside the link, and stay. */
+static const char *linked(const char *path, char *buffer) { return *path == '/' ? real_path(path, buffer) : path; }
+
+/* A pipe with a name: the kernel would wait for the other end. Who reads waits when he reads instead. */
+static long open_pipe(int folder, const char *real, long flags) {
+  for (;;) {
+    long fd = SYS(SYS_openat, folder, real, flags | O_NONBLOCK, 0);
+    if (fd >= 0) {
+      SYS(SYS_fcntl, fd, F_SETFL, flags & (O_APPEND | O_DIRECT));
+      new_descriptor(fd, POLLABLE);
+      something();
+      return fd;
+    }
+    if (fd != -ENXIO || (flags & O_ACCMODE) != O_WRONLY) return fd;
+    if (block(&descriptors_changed, NEVER) == SIGNALLED) return -EINTR;
+  }
 }
 
 static long open_file(int folder, const char *path, long flags, long mode) {
   static char buffer[4096];
-  const char *real = real_path(path, buffer);
-  if (!strcmp(real, "/dev/urandom") || !strcmp(real, "/dev/random") || !strcmp(real, "/dev/hwrng")) {
-    long fd = SYS(SYS_openat, AT_FDCWD, "/dev/zero", O_RDWR | (flags & O_CLOEXEC), 0);
-    if (fd >= 0) new_descriptor(fd, CHANCE);
-    return fd;
+  const char *real = real_path_at(folder, path, buffer);
+  struct stat s;
+  int there = !SYS(SYS_newfstatat, folder, real, &s, flags & O_NOFOLLOW ? AT_SYMLINK_NOFOLLOW : 0);
+  if (there && (S_ISCHR(s.st_mode) || S_ISBLK(s.st_mode)) && !(flags & O_PATH)) {
+    if (is_chance(&s)) {
+      long fd = SYS(SYS_openat, AT_FDCWD, "/dev/zero", O_RDWR | (flags & O_CLOEXEC), 0);
+      if (fd >= 0) new_descriptor(fd, CHANCE);
+      return fd;
+    }
+    if (!is_harmless_device(&s)) {
+      say("%s is a device of the machine, which is refused in simulated time", path);
+      return -EACCES;
+    }
   }
   if (!strcmp(real, "/proc/sys/kernel/random/uuid")) { /* a new one each time */
     u8 b[16];
@@ -179,6 +299,7 @@ static long open_file(int folder, const char *path, long flags, long mode) {
     }
     return -EROFS;
   }
+  if (there && S_ISFIFO(s.st_mode) && !(flags & (O_NONBLOCK | O_PATH))) return open_pipe(folder, real, flags);
   long fd = SYS(SYS_openat, folder, real, flags, mode);
   if (fd >= 0) new_descriptor(fd, UNKNOWN);
   return fd;
@@ -201,40 +322,6 @@ static void hide_statx(struct statx *s) {
   struct statx_timestamp *all[] = {&s->stx_atime, &s->stx_mtime, &s->stx_ctime, &s->stx_btime};
   for (size_t k = 0; k < LENGTH(all); k++)
     if (all[k]->tv_sec * SECOND > began) all[k]->tv_sec = config.epoch / SECOND, all[k]->tv_nsec = 0;
-}
-
-int mapped_socket(const struct sockaddr *from, socklen_t size, struct sockaddr *to_) {
-  const struct sockaddr_un *given = (void *)from;
-  struct sockaddr_un *to = (void *)to_;
-  memset(to, 0, sizeof *to);
-  to->sun_family = AF_UNIX;
-  size_t head = offsetof(struct sockaddr_un, sun_path);
-  if (size <= head) return size;
-  if (!given->sun_path[0]) { /* a name without a file is the machine's: agents and runs must not meet there */
-    u64 mark = 14695981039346656037ULL;
-    for (const char *c = home; *c; c++) mark = (mark ^ (u8)*c) * 1099511628211ULL;
-    int n = snprintf(to->sun_path + 1, 20, "%016lx", (unsigned long)mark);
-    size_t more = size - head - 1, room = sizeof to->sun_path - 1 - n;
-    memcpy(to->sun_path + 1 + n, given->sun_path + 1, more < room ? more : room);
-    return head + 1 + n + (more < room ? more : room);
-  }
-  static char path[200], buffer[4096];
-  size_t n = size - head < sizeof path - 1 ? size - head : sizeof path - 1;
-  memcpy(path, given->sun_path, n);
-  path[n] = 0;
-  const char *real = real_path(path, buffer);
-  if (strlen(real) >= sizeof to->sun_path) { /* the folder of a run may have a long name: by its descriptor it is short */
-    static int folder = -1;
-    if (folder < 0) {
-      long opened = SYS(SYS_openat, AT_FDCWD, home, O_PATH | O_DIRECTORY | O_CLOEXEC, 0);
-      folder = SYS(SYS_fcntl, opened, F_DUPFD_CLOEXEC, FIRST_OWN);
-      SYS(SYS_close, opened);
-    }
-    if (!is_own_folder(real)) return -ENAMETOOLONG;
-    if (snprintf(to->sun_path, sizeof to->sun_path, "/proc/self/fd/%d%s", folder, real + strlen(home)) >= (int)sizeof to->sun_path)
-      return -ENAMETOOLONG;
-  } else memcpy(to->sun_path, real, strlen(real) + 1);
-  return head + strlen(to->sun_path) + 1;
 }
 
 long file_call(long number, const long a[6]) {
@@ -263,55 +350,70 @@ long file_call(long number, const long a[6]) {
       return r;
     }
     case SYS_newfstatat: {
-      long r = SYS(number, a[0], real_path((void *)a[1], first), a[2], a[3]);
+      long r = SYS(number, a[0], real_path_at(a[0], (void *)a[1], first), a[2], a[3]);
       if (!r) hide_times((void *)a[2]);
       return r;
     }
     case SYS_statx: {
-      long r = SYS(number, a[0], real_path((void *)a[1], first), a[2], a[3], a[4]);
+      long r = SYS(number, a[0], real_path_at(a[0], (void *)a[1], first), a[2], a[3], a[4]);
       if (!r) hide_statx((void *)a[4]);
       return r;
     }
+    case SYS_readlink: return read_link(AT_FDCWD, real_path((void *)a[0], first), (void *)a[1], a[2]);
+    case SYS_readlinkat: return read_link(a[0], real_path_at(a[0], (void *)a[1], first), (void *)a[2], a[3]);
     /* One path that is only looked at. */
-    case SYS_access: case SYS_readlink: case SYS_chdir: case SYS_statfs: case SYS_getxattr: case SYS_lgetxattr:
-    case SYS_listxattr: case SYS_llistxattr:
-      if (number == SYS_access && a[1] & 2 && !may_change(AT_FDCWD, real_path((void *)a[0], first)) && SYS(SYS_access, first, 0) == 0) return -EROFS;
-      return SYS(number, real_path((void *)a[0], first), a[1], a[2], a[3]);
-    case SYS_faccessat: case SYS_faccessat2: case SYS_readlinkat: case SYS_name_to_handle_at:
-      return SYS(number, a[0], real_path((void *)a[1], first), a[2], a[3], a[4]);
-    case SYS_inotify_add_watch: return SYS(number, a[0], real_path((void *)a[1], first), a[2]);
-    /* One path that is changed. */
-    case SYS_unlink: case SYS_rmdir: case SYS_mkdir: case SYS_mknod: case SYS_chmod: case SYS_chown: case SYS_lchown:
-    case SYS_truncate: case SYS_utime: case SYS_utimes: case SYS_setxattr: case SYS_lsetxattr: case SYS_removexattr:
-    case SYS_lremovexattr: {
+    case SYS_access: case SYS_chdir: case SYS_statfs: case SYS_getxattr: case SYS_lgetxattr: case SYS_listxattr: case SYS_llistxattr: {
       const char *real = real_path((void *)a[0], first);
-      if (number == SYS_mkdir && !may_change(AT_FDCWD, real) && SYS(SYS_access, real, 0) == 0) return -EEXIST;
+      if (number == SYS_access && a[1] & 2 && !may_change(AT_FDCWD, real) && SYS(SYS_access, real, 0) == 0) return -EROFS;
+      return SYS(number, real, a[1], a[2], a[3]);
+    }
+    case SYS_faccessat: case SYS_faccessat2: case SYS_name_to_handle_at:
+      return SYS(number, a[0], real_path_at(a[0], (void *)a[1], first), a[2], a[3], a[4]);
+    case SYS_inotify_add_watch: return SYS(number, a[0], real_path_at(a[0], (void *)a[1], first), a[2]);
+    /* A name that is made or removed. */
+    case SYS_unlink: case SYS_rmdir: case SYS_mkdir: case SYS_mknod: case SYS_lchown: case SYS_lsetxattr: case SYS_lremovexattr: {
+      const char *real = real_path((void *)a[0], first);
+      if (number == SYS_mknod && (S_ISCHR(a[1]) || S_ISBLK(a[1]))) return -EPERM;
+      if (may_change_name(AT_FDCWD, real)) return SYS(number, real, a[1], a[2], a[3], a[4]);
+      return number == SYS_mkdir && SYS(SYS_access, real, 0) == 0 ? -EEXIST : -EROFS;
+    }
+    case SYS_unlinkat: case SYS_mkdirat: case SYS_mknodat: {
+      const char *real = real_path_at(a[0], (void *)a[1], first);
+      if (number == SYS_mknodat && (S_ISCHR(a[2]) || S_ISBLK(a[2]))) return -EPERM;
+      if (may_change_name(a[0], real)) return SYS(number, a[0], real, a[2], a[3]);
+      return number == SYS_mkdirat && SYS(SYS_faccessat, a[0], real, 0) == 0 ? -EEXIST : -EROFS;
+    }
+    /* A file that is changed. */
+    case SYS_chmod: case SYS_chown: case SYS_truncate: case SYS_utime: case SYS_utimes: case SYS_setxattr: case SYS_removexattr: {
+      const char *real = real_path((void *)a[0], first);
       return may_change(AT_FDCWD, real) ? SYS(number, real, a[1], a[2], a[3], a[4]) : -EROFS;
     }
-    case SYS_unlinkat: case SYS_mkdirat: case SYS_mknodat: case SYS_fchmodat: case SYS_fchownat: case SYS_futimesat: {
-      const char *real = real_path((void *)a[1], first);
-      if (number == SYS_mkdirat && !may_change(a[0], real) && SYS(SYS_faccessat, a[0], real, 0) == 0) return -EEXIST;
-      return may_change(a[0], real) ? SYS(number, a[0], real, a[2], a[3], a[4]) : -EROFS;
+    case SYS_fchmodat: case SYS_fchownat: case SYS_futimesat: case SYS_utimensat: {
+      const char *real = real_path_at(a[0], (void *)a[1], first);
+      int itself = (number == SYS_fchownat && a[4] & AT_SYMLINK_NOFOLLOW) || (number == SYS_utimensat && a[3] & AT_SYMLINK_NOFOLLOW);
+      int may = !real ? may_change_open(a[0]) : itself && *real ? may_change_name(a[0], real) : may_change(a[0], real);
+      return may ? SYS(number, a[0], real, a[2], a[3], a[4]) : -EROFS;
     }
-    case SYS_utimensat:
-      if (!a[1]) return SYS(number, a[0], a[1], a[2], a[3]);
-      return may_change(a[0], real_path((void *)a[1], first)) ? SYS(number, a[0], real_path((void *)a[1], first), a[2], a[3]) : -EROFS;
+    case SYS_fchmod: case SYS_fchown: case SYS_fsetxattr: case SYS_fremovexattr:
+      return may_change_open(a[0]) ? SYS(number, a[0], a[1], a[2], a[3], a[4]) : -EROFS;
     /* Two paths. */
     case SYS_rename: case SYS_link: {
       const char *from = real_path((void *)a[0], first), *to = real_path((void *)a[1], second);
-      return may_change(AT_FDCWD, from) && may_change(AT_FDCWD, to) ? SYS(number, from, to) : -EROFS;
+      return may_change_name(AT_FDCWD, from) && may_change_name(AT_FDCWD, to) ? SYS(number, from, to) : -EROFS;
     }
     case SYS_renameat: case SYS_renameat2: case SYS_linkat: {
-      const char *from = real_path((void *)a[1], first), *to = real_path((void *)a[3], second);
-      return may_change(a[0], from) && may_change(a[2], to) ? SYS(number, a[0], from, a[2], to, a[4]) : -EROFS;
+      const char *from = real_path_at(a[0], (void *)a[1], first), *to = real_path_at(a[2], (void *)a[3], second);
+      int follows = number == SYS_linkat && (a[4] & AT_SYMLINK_FOLLOW || !*from);
+      int may = follows ? may_change(a[0], from) : may_change_name(a[0], from);
+      return may && may_change_name(a[2], to) ? SYS(number, a[0], from, a[2], to, a[4]) : -EROFS;
     }
     case SYS_symlink: {
       const char *to = real_path((void *)a[1], second);
-      return may_change(AT_FDCWD, to) ? SYS(number, real_path((void *)a[0], first), to) : -EROFS;
+      return may_change_name(AT_FDCWD, to) ? SYS(number, linked((void *)a[0], first), to) : -EROFS;
     }
     default: { /* symlinkat */
-      const char *to = real_path((void *)a[2], second);
-      return may_change(a[1], to) ? SYS(number, real_path((void *)a[0], first), a[1], to) : -EROFS;
+      const char *to = real_path_at(a[1], (void *)a[2], second);
+      return may_change_name(a[1], to) ? SYS(number, linked((void *)a[0], first), a[1], to) : -EROFS;
     }
   }
 }

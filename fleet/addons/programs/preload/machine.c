@@ -15,7 +15,7 @@ __asm__(
     "raw: mov %rdi,%rax; mov %rsi,%rdi; mov %rdx,%rsi; mov %rcx,%rdx; mov %r8,%r10; mov %r9,%r8; mov 8(%rsp),%r9\n"
     "  syscall\n  ret\n"
     ".globl own_return\n.hidden own_return\n"
-    "own_return: mov $15,%eax\n  syscall\n"
+    "own_return: mov $15,%rax\n  syscall\n" /* these very bytes are known to who unwinds a stack, as for pthread_cancel */
     /* The child begins on its own stack in `begin_thread`. */
     ".globl raw_thread\n.hidden raw_thread\n.type raw_thread,@function\n"
     "raw_thread: push %r12; mov %r9,%r12; mov %rcx,%r10; mov $56,%eax\n"

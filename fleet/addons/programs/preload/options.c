@@ -46,7 +46,9 @@ long set_option(int fd, struct sock *s, int level, int option, const void *value
       case SO_TIMESTAMP: s->stamps = (s->stamps & ~1) | (v ? 1 : 0); return 0;
       case SO_TIMESTAMPNS: s->stamps = (s->stamps & ~2) | (v ? 2 : 0); return 0;
       case SO_RCVBUF:
-      case SO_SNDBUF: return SYS(SYS_setsockopt, option == SO_RCVBUF ? fd : s->peer, level, SO_SNDBUF, value, size) * 0;
+      case SO_SNDBUF:
+        if (option == SO_SNDBUF && s->type == SOCK_STREAM) s->most_unsent = v < 2304 ? 4608 : v > 1 << 17 ? 1 << 18 : 2 * (size_t)v; /* as Linux doubles it */
+        return SYS(SYS_setsockopt, option == SO_RCVBUF ? fd : s->peer, level, SO_SNDBUF, value, size) * 0;
       default: return 0;
     }
   if (level == IPPROTO_IP) switch (option) {
@@ -101,8 +103,6 @@ long get_option(struct sock *s, int level, int option, void *value, socklen_t *s
       case SO_RCVBUF:
       case SO_SNDBUF: v = 212992; break; /* Linux' default */
       case SO_BROADCAST: v = s->broadcast; break;
-      case SO_REUSEADDR:
-      case SO_REUSEPORT: v = s->reuse; break;
       case SO_RCVTIMEO:
       case SO_SNDTIMEO: {
         i64 t = option == SO_RCVTIMEO ? s->receive_timeout : s->send_timeout;

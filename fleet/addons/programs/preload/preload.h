@@ -50,7 +50,7 @@ void answer_fast_clocks(void);  /* the functions that the kernel maps into each 
 long on_call(ucontext_t *context, long number, const long arguments[6]);
 
 /* channel.c: to and from the controller */
-enum { CHANNEL = 4095, FIRST_OWN = 2048, DESCRIPTORS = 4096, MOST_MESSAGE = 1 << 17 };
+enum { CHANNEL = 4095, FIRST_OWN = 2048, DESCRIPTORS = 4096, MOST_FILES = 1024, MOST_MESSAGE = 1 << 17 };
 struct configuration {
   i64 now, tick, epoch;
   u64 seed;
@@ -86,6 +86,7 @@ struct thread {
   int *clear_tid;
   u64 mask, pending;
   int handled, restarts, in_call;
+  u64 robust; /* the list of the locks that it holds */
   char net; /* what it waits for may come from outside */
   char name[16];
   long registers[REGISTERS];
@@ -107,6 +108,7 @@ void begin_threads(void);
 void forget_threads(void); /* in a child, which has one */
 long start_thread(ucontext_t *context, u64 flags, long stack, int *parent_tid, int *child_tid, long tls);
 void end_thread(int status) __attribute__((noreturn));
+void leave_locks(void); /* at the end of this thread */
 long futex(u32 *at, int operation, u32 value, const struct timespec *timeout, u32 *second, u32 bits);
 void show_threads(void);
 extern u8 did_something;
@@ -135,11 +137,14 @@ void seed_chance(u64 seed);
 
 /* files.c */
 long file_call(long number, const long a[6]);
-int mapped_socket(const struct sockaddr *from, socklen_t size, struct sockaddr *to); /* its size; an error below 0 */
+int is_own_folder(const char *real);
+int may_change(int folder, const char *real);
+const char *shown_path(char *buffer);
+const char *real_path_at(int folder, const char *path, char *buffer);
 const char *real_path(const char *path, char *buffer);
 
 /* descriptors.c */
-enum { UNKNOWN, PLAIN, POLLABLE, DATAGRAMS, STREAM, TIMER, ROUTES, CHANCE, POLLER };
+enum { UNKNOWN, PLAIN, POLLABLE, DATAGRAMS, STREAM, TIMER, ROUTES, CHANCE, SIGNALS };
 struct descriptor { u8 kind, net; struct sock *sock; };
 extern struct descriptor descriptors[];
 int is_own(int descriptor);
@@ -148,13 +153,15 @@ int wait_ready(int descriptor, int events, int flags, i64 timeout);
 long descriptor_call(long number, const long a[6]);
 int kind_of(int descriptor);
 void new_descriptor(int descriptor, int kind);
+long own_descriptor(int descriptor); /* a copy of it that is ours */
+void limit_files(int lifted);
 
 /* sockets.c and streams.c */
 struct address { u8 ip[16]; u16 port; } __attribute__((packed)); /* IPv4 as ::ffff:a.b.c.d; the port as a number */
 struct sock {
   int used, references, peer, type, v6, borrowed;
   struct address own, to;
-  u8 bound, connected, connecting, listening, closing, sent_end, got_end, stopped, congested;
+  u8 bound, connected, connecting, listening, closing, sent_end, got_end, stopped, congested, fresh; /* fresh: it stands, and no call has said so */
   u8 broadcast, no_loop, ttl, reuse, information, stamps, v6_only;
   int error;
   i64 receive_timeout, send_timeout, last_stamp;
@@ -165,7 +172,7 @@ struct sock {
   u64 connection;
   u8 *waiting; /* what came and does not fit into the pair yet */
   size_t n_waiting, room;
-  size_t unsent; /* bytes that the controller holds and has not sent */
+  size_t unsent, most_unsent; /* bytes that the controller holds and has not sent */
 };
 enum { SOCKETS = 2000 };
 extern struct sock socks[];
@@ -194,6 +201,10 @@ void own_address(u8 *ip, int v6);
 u16 free_port(int type);
 int is_mine(const u8 *ip);
 
+/* unix.c */
+long unix_call(long number, const long a[6]);
+void show_socket(struct sockaddr *name, socklen_t *size, socklen_t room);
+
 /* options.c */
 long set_option(int descriptor, struct sock *sock, int level, int option, const void *value, socklen_t size);
 long get_option(struct sock *sock, int level, int option, void *value, socklen_t *size);
@@ -209,7 +220,11 @@ long send_routes(int descriptor, const void *data, size_t size);
 long process_call(ucontext_t *context, long number, const long a[6]);
 long signal_call(ucontext_t *context, long number, const long a[6]);
 void child_gone(u32 pid);
+long kill_process(long which, int signal);
 void raise_signal(int signal, struct thread *directed);
+int raise_with(int signal, struct thread *directed, const siginfo_t *information); /* -EAGAIN: too many are queued */
+void hand_on_signals(int back);
+void close_signals(int descriptor);
 int deliver_signals(ucontext_t *context);
 void begin_signals(void);
 u64 without_own(u64 mask);

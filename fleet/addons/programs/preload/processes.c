@@ -5,6 +5,7 @@
 #include <elf.h>
 #include <fcntl.h>
 #include <linux/sched.h>
+#include <poll.h>
 #include <sched.h>
 #include <stdio.h>
 #include <sys/prctl.h>
@@ -35,41 +36,93 @@ void child_gone(u32 number) {
   wake_all(&descriptors_changed);
 }
 
-/* A copy of this process, with one thread. What shares memory with its parent (vfork) becomes a copy, too. */
-static long fork_process(u64 flags, long stack, int *parent_tid, int *child_tid, long tls) {
+/* A child that shares the memory of its parent (vfork, posix_spawn) is a copy here, too. Its parent waits until it
+   executes something or ends, and then gets what the child has changed on its stack: there it tells why it failed. */
+struct change { u64 *at, to; };
+static u64 lent[2048]; /* what was on the stack: 16 kB, more than the frame of who calls */
+static u64 *lent_from;
+static size_t n_lent;
+static int borrower = -1; /* where the child tells its changes */
+
+static void tell_changes(void) {
+  if (borrower < 0) return;
+  for (size_t k = 0; k < n_lent; k++)
+    if (lent_from[k] != lent[k]) {
+      struct change change = {lent_from + k, lent_from[k]};
+      SYS(SYS_write, borrower, &change, sizeof change);
+      lent[k] = lent_from[k];
+    }
+}
+
+static void close_all(const int pair[2], const int borrowed[2]) {
+  for (int k = 0; k < 2; k++) {
+    SYS(SYS_close, pair[k]);
+    if (borrowed[k] >= 0) SYS(SYS_close, borrowed[k]);
+  }
+}
+
+static void lend_stack(long from, int pipe) {
+  struct iovec here = {lent, sizeof lent}, there = {(void *)(from & ~7L), sizeof lent};
+  long n = SYS(SYS_process_vm_readv, real_pid(), &here, 1, &there, 1, 0); /* as much as there is */
+  lent_from = there.iov_base, n_lent = n > 0 ? n / 8 : 0, borrower = pipe;
+}
+
+static void wait_borrower(int pipe) {
+  while (!ready(pipe, POLLIN)) block(&descriptors_changed, NEVER);
+  for (struct change change; SYS(SYS_read, pipe, &change, sizeof change) == sizeof change;) *change.at = change.to;
+  SYS(SYS_close, pipe);
+}
+
+/* A copy of this process, with one thread. */
+static long fork_process(u64 flags, long stack, int *parent_tid, int *child_tid, long tls, long parent_stack) {
   struct child *c = children;
   while (c < children + CHILDREN && c->number) c++;
   if (c == children + CHILDREN) return -EAGAIN;
-  int pair[2];
+  int pair[2], borrowed[2] = {-1, -1};
+  limit_files(1);
   long error = SYS(SYS_socketpair, AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair);
+  if (!error && flags & CLONE_VFORK && !SYS(SYS_pipe2, borrowed, O_CLOEXEC))
+    for (int k = 0; k < 2; k++) {
+      int own = SYS(SYS_fcntl, borrowed[k], F_DUPFD_CLOEXEC, FIRST_OWN);
+      SYS(SYS_close, borrowed[k]);
+      borrowed[k] = own;
+    }
+  limit_files(0);
   if (error) return error;
   tell_descriptor('N', 0, 0, pair[1]);
   struct configuration next;
   struct message answer = ask('J');
   memcpy(&next, answer.data, sizeof next);
   if (!next.pid) { /* the controller has no room for more */
-    SYS(SYS_close, pair[0]);
-    SYS(SYS_close, pair[1]);
+    close_all(pair, borrowed);
     return -EAGAIN;
   }
   flush();
   u64 kept = (flags & (CLONE_SETTLS | CLONE_CHILD_SETTID | CLONE_CHILD_CLEARTID | CLONE_FS)) & ~(u64)(CLONE_CHILD_SETTID | CLONE_CHILD_CLEARTID | CLONE_FS);
   long real = SYS(SYS_clone, kept | SIGCHLD, 0, 0, 0, tls);
   if (real < 0) {
-    SYS(SYS_close, pair[0]);
-    SYS(SYS_close, pair[1]);
+    close_all(pair, borrowed);
     return real;
   }
   if (real) {
+    struct { u32 pid, real; } numbers = {next.pid, (u32)real};
+    tell('Y', &numbers, sizeof numbers, 0, 0);
     SYS(SYS_close, pair[0]);
     SYS(SYS_close, pair[1]);
+    if (borrowed[1] >= 0) SYS(SYS_close, borrowed[1]);
     *c = (struct child){next.pid, (int)real, 0};
     if (flags & CLONE_PARENT_SETTID) *parent_tid = next.pid;
     (void)stack;
+    if (borrowed[0] >= 0) wait_borrower(borrowed[0]);
     return next.pid;
   }
   trap_calls();
+  limit_files(1);
   SYS(SYS_dup3, pair[0], CHANNEL, 0);
+  limit_files(0);
+  if (borrower >= 0) SYS(SYS_close, borrower); /* that of its parent */
+  borrower = -1;
+  if (borrowed[0] >= 0) SYS(SYS_close, borrowed[0]), lend_stack(parent_stack, borrowed[1]);
   SYS(SYS_close, pair[0]);
   SYS(SYS_close, pair[1]);
   config = next, now = next.now;
@@ -81,9 +134,6 @@ static long fork_process(u64 flags, long stack, int *parent_tid, int *child_tid,
   borrow_socks();
   SYS(SYS_prctl, PR_SET_PDEATHSIG, 0);
   if (flags & CLONE_CHILD_SETTID) *child_tid = next.pid;
-  int own = real_pid();
-  tell('Y', &own, sizeof own, 0, 0);
-  flush();
   while (hear().kind != 'T') {} /* its first turn */
   return 0;
 }
@@ -92,7 +142,11 @@ static long clone_process(ucontext_t *context, u64 flags, long stack, int *paren
   if (flags & CLONE_THREAD) return start_thread(context, flags, stack, parent_tid, child_tid, tls);
   if (flags & (CLONE_NEWNS | CLONE_NEWUTS | CLONE_NEWIPC | CLONE_NEWUSER | CLONE_NEWPID | CLONE_NEWNET | CLONE_NEWCGROUP))
     return -EPERM;
-  long r = fork_process(flags, stack, parent_tid, child_tid, tls);
+  if (flags & CLONE_VM && !(flags & CLONE_VFORK)) {
+    say("a process that shares the memory of its parent is refused in simulated time");
+    return -EPERM;
+  }
+  long r = fork_process(flags, stack, parent_tid, child_tid, tls, context->uc_mcontext.gregs[REG_RSP]);
   if (r == 0 && stack) context->uc_mcontext.gregs[REG_RSP] = stack;
   return r;
 }
@@ -160,9 +214,12 @@ static long execute(const char *path, char *const *arguments, char *const *given
   if (!has_channel) snprintf(channel, sizeof channel, "FLEET_PROGRAM=%d", CHANNEL), all[n++] = channel;
   all[n] = 0;
   flush();
+  tell_changes();
+  hand_on_signals(0);
   SYS(SYS_prctl, PR_SET_TSC, PR_TSC_ENABLE); /* the new program begins before its library */
   long r = SYS(SYS_execve, real, arguments, all);
   SYS(SYS_prctl, PR_SET_TSC, PR_TSC_SIGSEGV);
+  hand_on_signals(1);
   return r;
 }
 
@@ -189,7 +246,7 @@ static long wait_child(long which, int options, struct child **found) {
   }
 }
 
-static long kill_process(long which, int signal) {
+long kill_process(long which, int signal) {
   if (signal < 0 || signal > 64) return -EINVAL;
   if (which == (long)config.pid || which == 0 || which == -(long)config.pid) {
     if (signal) raise_signal(signal, 0);
@@ -209,8 +266,8 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
       if (c->flags & CLONE_PIDFD) return -ENOSYS; /* callers fall back to clone */
       return clone_process(context, c->flags, c->stack ? c->stack + c->stack_size : 0, (void *)c->parent_tid, (void *)c->child_tid, c->tls);
     }
-    case SYS_fork:
-    case SYS_vfork: return fork_process(0, 0, 0, 0, 0);
+    case SYS_fork: return fork_process(0, 0, 0, 0, 0, 0);
+    case SYS_vfork: return fork_process(CLONE_VFORK, 0, 0, 0, 0, context->uc_mcontext.gregs[REG_RSP]);
     case SYS_execve: return execute((void *)a[0], (void *)a[1], (void *)a[2]);
     case SYS_execveat: {
       static char name[4200];
@@ -222,6 +279,8 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
     }
     case SYS_exit: end_thread(a[0]);
     case SYS_exit_group:
+      tell_changes();
+      leave_locks();
       close_streams();
       flush();
       return SYS(SYS_exit_group, a[0]);
@@ -256,6 +315,7 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
     case SYS_getsid: return config.pid;
     case SYS_setpgid: return 0;
     case SYS_setsid: return config.pid;
+    case SYS_set_robust_list: me->robust = a[0]; return a[1] == 24 ? 0 : -EINVAL;
     case SYS_set_tid_address: me->clear_tid = (void *)a[0]; return me->number;
     case SYS_sched_getaffinity: { /* one processor, however many the machine has */
       if (a[1] < 8) return -EINVAL;
@@ -268,6 +328,7 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
     case SYS_sched_getparam: return *(int *)a[1] = 0;
     case SYS_getpriority: return 20; /* as the kernel tells niceness 0 */
     case SYS_sched_yield: yield(); return 0;
+    case SYS_sethostname: case SYS_setdomainname: case SYS_syslog: case SYS_vhangup: case SYS_acct: return -EPERM;
     case SYS_uname: {
       long r = SYS(SYS_uname, a[0]);
       char *name = (char *)a[0] + 65; /* struct utsname: sysname, nodename, release ... of 65 bytes each */
@@ -283,7 +344,8 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
           return SYS(SYS_prctl, PR_SET_NAME, a[1]);
         case PR_SET_TSC:
         case PR_SET_PDEATHSIG: return 0;
-        case PR_SET_SECCOMP: return -EINVAL;
+        case PR_SET_SECCOMP:
+        case 59 /* PR_SET_SYSCALL_USER_DISPATCH, which traps the calls */: return -EINVAL;
         default: return SYS(SYS_prctl, a[0], a[1], a[2], a[3], a[4]);
       }
     default: return -ENOSYS;

@@ -89,7 +89,7 @@ int own_pair(int type, int flags, int *peer) {
   int pair[2];
   long error = SYS(SYS_socketpair, AF_UNIX, type | flags, 0, pair);
   if (error) return error;
-  long own = SYS(SYS_fcntl, pair[1], F_DUPFD_CLOEXEC, FIRST_OWN);
+  long own = own_descriptor(pair[1]);
   SYS(SYS_close, pair[1]);
   if (own < 0) {
     SYS(SYS_close, pair[0]);
@@ -116,7 +116,7 @@ static long open_socket(int domain, int type, int protocol) {
     say("a raw socket is refused in simulated time; on the wall clock: fleet netem");
     return -EPERM;
   }
-  if (kind == SOCK_DGRAM && protocol != 0 && protocol != IPPROTO_UDP) return -EPROTONOSUPPORT; /* ping */
+  if (protocol && protocol != (kind == SOCK_DGRAM ? IPPROTO_UDP : IPPROTO_TCP)) return -EPROTONOSUPPORT; /* ping, SCTP */
   struct sock *s = socks;
   while (s < socks + SOCKETS && s->used) s++;
   if (s == socks + SOCKETS) return -EMFILE;
@@ -199,8 +199,13 @@ static long connect_socket(int fd, struct sock *s, const struct sockaddr *to, so
   if (error) return error;
   if (is_any(peer.ip)) memcpy(peer.ip, is_v4(peer.ip) ? (const u8[16]){0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 255, 255, 127, 0, 0, 1} : loopback6, 16);
   if (s->type == SOCK_STREAM) {
+    if (s->connected && s->fresh) return s->fresh = 0;
     if (s->connected) return -EISCONN;
     if (s->connecting) return -EALREADY;
+    if (s->error) {
+      error = s->error, s->error = 0;
+      return -error;
+    }
     if (s->listening) return -EISCONN;
     if (!is_inside(peer.ip) || is_everybody(peer.ip)) {
       outside(&peer);
@@ -380,6 +385,7 @@ long receive_message(int fd, struct msghdr *message, int flags) {
     if (error) return error;
     socklen_t room = message->msg_namelen;
     long r = SYS(SYS_recvmsg, fd, message, flags);
+    if (r >= 0) show_socket(message->msg_name, &message->msg_namelen, room);
     something();
     if (kind_of(fd) == ROUTES && message->msg_name) { /* an answer of the kernel, whose number is 0 */
       struct { u16 family, pad; u32 pid, groups; } kernel = {AF_NETLINK, 0, 0, 0};
@@ -451,63 +457,6 @@ static long many(long number, int fd, struct mmsghdr *all, unsigned n, int flags
     all[k].msg_len = r;
   }
   return n;
-}
-
-/* Unix sockets are the kernel's. Calls that would wait there wait here. */
-static long unix_call(long number, const long a[6]) {
-  static struct sockaddr_un { u16 family; char path[108]; } to; /* of <sys/un.h>, which has other names */
-  switch (number) {
-    case SYS_connect: {
-      int size = mapped_socket((void *)a[1], a[2], (void *)&to);
-      if (size < 0) return size;
-      long r = SYS(SYS_connect, a[0], &to, size);
-      something();
-      return r;
-    }
-    case SYS_bind: {
-      int size = mapped_socket((void *)a[1], a[2], (void *)&to);
-      return size < 0 ? size : SYS(SYS_bind, a[0], &to, size);
-    }
-    case SYS_accept:
-    case SYS_accept4: {
-      int error = wait_ready(a[0], POLLIN, 0, NEVER);
-      if (error) return error;
-      long fd = SYS(SYS_accept4, a[0], a[1], a[2], number == SYS_accept4 ? a[3] : 0);
-      if (fd >= 0) new_descriptor(fd, POLLABLE);
-      something();
-      return fd;
-    }
-    case SYS_sendto:
-    case SYS_sendmsg: {
-      struct sockaddr *name = number == SYS_sendto ? (void *)a[4] : ((struct msghdr *)a[1])->msg_name;
-      socklen_t n = number == SYS_sendto ? a[5] : ((struct msghdr *)a[1])->msg_namelen;
-      int flags = number == SYS_sendto ? a[3] : a[2], size = 0;
-      if (name && n && name->sa_family == AF_UNIX && (size = mapped_socket(name, n, (void *)&to)) < 0) return size;
-      for (;;) {
-        struct msghdr m;
-        if (number == SYS_sendmsg) m = *(struct msghdr *)a[1], m.msg_name = size ? &to : 0, m.msg_namelen = size;
-        long r = number == SYS_sendto ? SYS(SYS_sendto, a[0], a[1], a[2], flags | MSG_DONTWAIT | MSG_NOSIGNAL, size ? &to : 0, size)
-                                      : SYS(SYS_sendmsg, a[0], &m, flags | MSG_DONTWAIT | MSG_NOSIGNAL);
-        something();
-        if (r == -EPIPE && !(flags & MSG_NOSIGNAL)) raise_signal(SIGPIPE, me);
-        if (r != -EAGAIN || flags & MSG_DONTWAIT || SYS(SYS_fcntl, a[0], F_GETFL) & O_NONBLOCK) return r;
-        if (block(&descriptors_changed, NEVER) == SIGNALLED) return -EINTR;
-      }
-    }
-    case SYS_recvfrom: {
-      int error = wait_ready(a[0], POLLIN, a[3], NEVER);
-      if (error) return error;
-      long r = SYS(SYS_recvfrom, a[0], a[1], a[2], a[3], a[4], a[5]);
-      something();
-      return r;
-    }
-    case SYS_recvmsg: return receive_message(a[0], (void *)a[1], a[2]);
-    default: {
-      long r = SYS(number, a[0], a[1], a[2], a[3], a[4]);
-      something();
-      return r;
-    }
-  }
 }
 
 long socket_call(long number, const long a[6]) {

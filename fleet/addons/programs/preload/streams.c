@@ -42,6 +42,8 @@ static void relieve(struct sock *s) {
   while (SYS(SYS_recvfrom, s->peer, junk, sizeof junk, MSG_DONTWAIT, 0, 0) > 0) {}
 }
 
+static size_t most_unsent(const struct sock *s) { return s->most_unsent ? s->most_unsent : MOST_UNSENT; }
+
 /* Writes into the pair what has come, as far as it fits. */
 static void pour(struct sock *s) {
   size_t done = 0;
@@ -113,7 +115,12 @@ long stream_connect(int fd, struct sock *s) {
   if (is_mine(s->to.ip)) memcpy(call.from.ip, s->to.ip, 16);
   tell('A', &call, sizeof call, 0, 0);
   congest(fd, s);
-  if (SYS(SYS_fcntl, fd, F_GETFL) & O_NONBLOCK) return -EINPROGRESS;
+  if (SYS(SYS_fcntl, fd, F_GETFL) & O_NONBLOCK) {
+    s->fresh = 1;
+    /* To an own address it stands, or is refused, in this moment. */
+    for (int k = 0; k < 4 && s->connecting && (is_mine(s->to.ip) || is_loopback(s->to.ip)); k++) block_net(s, now);
+    return -EINPROGRESS;
+  }
   i64 deadline = s->send_timeout == NEVER ? NEVER : later(s->send_timeout);
   while (s->connecting) {
     int how = block_net(s, deadline);
@@ -152,7 +159,7 @@ static int queue_call(struct sock *s, const struct call *call) {
   memset(n, 0, sizeof *n);
   int end = own_pair(SOCK_STREAM, SOCK_CLOEXEC, &n->peer);
   if (end < 0) return 0;
-  n->own_end = SYS(SYS_fcntl, end, F_DUPFD_CLOEXEC, FIRST_OWN);
+  n->own_end = own_descriptor(end);
   SYS(SYS_close, end);
   n->used = 1, n->type = SOCK_STREAM, n->v6 = s->v6, n->listener = s - socks + 1;
   n->bound = n->connected = 1, n->own = call->to, n->to = call->from, n->connection = call->connection;
@@ -231,7 +238,7 @@ void deliver_stream(struct message m) {
       u32 n;
       memcpy(&n, m.data + 8, 4);
       s->unsent -= n < s->unsent ? n : s->unsent;
-      if (s->unsent < MOST_UNSENT / 2) relieve(s);
+      if (s->unsent < most_unsent(s) / 2) relieve(s);
       break;
     }
   }
@@ -253,7 +260,7 @@ long stream_send(int fd, struct sock *s, const struct msghdr *message, int flags
   size_t done = 0;
   for (size_t k = 0; k < (size_t)message->msg_iovlen; k++)
     for (size_t at = 0; at < message->msg_iov[k].iov_len;) {
-      while (s->unsent >= MOST_UNSENT) {
+      while (s->unsent >= most_unsent(s)) {
         congest(fd, s);
         if (!waits) {
           spins();
@@ -262,8 +269,9 @@ long stream_send(int fd, struct sock *s, const struct msghdr *message, int flags
         if (block_net(s, NEVER) == SIGNALLED) return done ? (long)done : -EINTR;
         if (s->stopped) return done ? (long)done : -EPIPE;
       }
-      size_t n = message->msg_iov[k].iov_len - at;
+      size_t n = message->msg_iov[k].iov_len - at, room = most_unsent(s) - s->unsent;
       if (n > PART) n = PART;
+      if (n > room) n = room;
       tell('W', &s->connection, 8, (u8 *)message->msg_iov[k].iov_base + at, n);
       s->unsent += n, at += n, done += n;
     }

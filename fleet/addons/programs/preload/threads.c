@@ -62,8 +62,19 @@ static i64 soonest(u8 *flags) {
   return deadline;
 }
 
+/* Memory that processes share may be mapped at two places of one process, and so a lock has two names. */
+static int shared_changed(void) {
+  int found = 0;
+  for (int k = 0; k <= last_thread; k++) {
+    struct thread *t = &threads[k];
+    if (t->used && t->state == WAITS && t->shared && *t->shared != t->held) wake_up(t, 0), found = 1;
+  }
+  return found;
+}
+
 /* Nobody can run: the turn is over, and goes on at the next moment that the controller grants. */
 static void idle(void) {
+  if (did_something && shared_changed()) return;
   struct { i64 deadline; u8 flags; } __attribute__((packed)) message;
   message.deadline = soonest(&message.flags);
   tell('I', &message, sizeof message, 0, 0);
@@ -72,13 +83,13 @@ static void idle(void) {
   for (struct message m; (m = hear()).kind != 'T' || (memcpy(&now, m.data, 8), 0);) deliver(m);
   looks = 0;
   fire_timers();
+  shared_changed();
   for (;;) {
     struct thread *next = 0;
     for (int k = 0; k <= last_thread; k++) {
       struct thread *t = &threads[k];
       if (!t->used || t->state != WAITS) continue;
-      if (t->shared && *t->shared != t->held) wake_up(t, 0);
-      else if (t->deadline <= now && (!next || t->deadline < next->deadline ||
+      if (t->deadline <= now && (!next || t->deadline < next->deadline ||
                                       (t->deadline == next->deadline && t->ticket < next->ticket)))
         next = t;
     }
@@ -154,7 +165,7 @@ void forget_threads(void) {
   struct thread *own = me;
   for (int k = 0; k <= last_thread; k++)
     if (&threads[k] != own) threads[k].used = 0;
-  own->number = config.pid, own->clear_tid = 0, own->gone = 1, own->pending = 0;
+  own->number = config.pid, own->clear_tid = 0, own->robust = 0, own->gone = 1, own->pending = 0;
   numbers = 1, dying = 0;
   SYS(SYS_set_tid_address, &own->gone);
 }
@@ -167,13 +178,22 @@ __attribute__((used, visibility("hidden"))) void begin_thread(struct thread *own
   resume(own->registers);
 }
 
+static int new_number(void) { /* below the bits that a futex has for a number */
+  for (;;) {
+    int number = config.pid + 100000 * numbers, taken = 0;
+    numbers = numbers % 9999 + 1;
+    for (int k = 0; k <= last_thread; k++) taken |= threads[k].used && threads[k].number == number;
+    if (!taken) return number;
+  }
+}
+
 long start_thread(ucontext_t *context, u64 flags, long stack, int *parent_tid, int *child_tid, long tls) {
   int k = 0;
   while (k < THREADS && threads[k].used) k++;
   if (k == THREADS) return -EAGAIN;
   if (k > last_thread) last_thread = k;
   struct thread *t = &threads[k];
-  *t = (struct thread){.used = 1, .gone = 1, .mask = me->mask, .number = config.pid + numbers++ * 100000};
+  *t = (struct thread){.used = 1, .gone = 1, .mask = me->mask, .number = new_number()};
   memcpy(t->name, me->name, sizeof t->name);
   if (flags & CLONE_CHILD_CLEARTID) t->clear_tid = child_tid;
   if (flags & CLONE_PARENT_SETTID) *parent_tid = t->number;
@@ -189,8 +209,27 @@ long start_thread(ucontext_t *context, u64 flags, long stack, int *parent_tid, i
   return t->number;
 }
 
+/* Locks that are robust know the thread which has ended. The kernel would look for its own number in them. */
+void leave_locks(void) {
+  struct robust_list_head *head = (void *)me->robust;
+  if (!head) return;
+  uintptr_t own = (uintptr_t)&head->list, each = (uintptr_t)head->list.next & ~1UL; /* the last bit: it inherits priority */
+  for (int k = 0; k < 2048 && each != own; k++) {
+    uintptr_t next = (uintptr_t)((struct robust_list *)each)->next & ~1UL;
+    u32 *at = (u32 *)(each + head->futex_offset);
+    if ((*at & FUTEX_TID_MASK) == (u32)me->number) {
+      *at = (*at & FUTEX_WAITERS) | FUTEX_OWNER_DIED;
+      did_something = 1;
+      wake_one(at);
+    }
+    each = next;
+  }
+  me->robust = 0;
+}
+
 void end_thread(int status) {
   struct thread *own = me, *next;
+  leave_locks();
   int others = 0;
   for (int k = 0; k <= last_thread; k++) others += threads[k].used && &threads[k] != own;
   if (!others) {
@@ -213,13 +252,18 @@ static int wake_futex(const u32 *at, u32 bits, u32 most) {
 }
 
 static long lock_inherited(u32 *at, i64 deadline, int tries) {
+  u32 others = 0;
   while (*at & FUTEX_TID_MASK) {
     if ((*at & FUTEX_TID_MASK) == (u32)me->number) return -EDEADLK;
     if (tries) return -EAGAIN;
     *at |= FUTEX_WAITERS;
-    if (block(at, deadline) == TIMED_OUT) return -ETIMEDOUT;
+    me->shared = at, me->held = *at; /* another process of the agent may have it */
+    int how = block(at, deadline);
+    me->shared = 0;
+    if (how == TIMED_OUT) return -ETIMEDOUT;
+    others = FUTEX_WAITERS; /* perhaps in another process: who unlocks is to tell us */
   }
-  *at = me->number | (first(WAITS, at, 0) ? FUTEX_WAITERS : 0);
+  *at = me->number | (*at & FUTEX_OWNER_DIED) | (first(WAITS, at, 0) ? FUTEX_WAITERS : others);
   return 0;
 }
 
@@ -275,10 +319,12 @@ long futex(u32 *at, int operation, u32 value, const struct timespec *timeout, u3
       return n;
     }
     case FUTEX_WAKE_OP: return wake_by_operation(at, value, (u32)(uintptr_t)timeout, second, bits);
-    case FUTEX_LOCK_PI: return lock_inherited(at, timeout ? time_of(CLOCK_REALTIME, timeout) : NEVER, 0);
+    case FUTEX_LOCK_PI:
+    case 13 /* FUTEX_LOCK_PI2 */: return lock_inherited(at, timeout ? time_of((operation & FUTEX_CMD_MASK) == 13 ? clock : CLOCK_REALTIME, timeout) : NEVER, 0);
     case FUTEX_TRYLOCK_PI: return lock_inherited(at, NEVER, 1);
     case FUTEX_UNLOCK_PI:
       *at = 0;
+      did_something |= shared;
       wake_futex(at, 0, 1);
       return 0;
     default: return -ENOSYS;

@@ -1,10 +1,12 @@
 /* Starts a program in simulated time: launch CHANNEL OUT ERR HOME LIBRARY MEMORY_MB -- COMMAND ...
+   MEMORY_MB is the most that a file may hold, since files may be memory.
 
    What must hold before the program's first instruction is set here, in a process of its own: between fork and exec of
    Python, other threads may hold locks. */
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
+#include <poll.h>
 #include <sched.h>
 #include <signal.h>
 #include <stdio.h>
@@ -13,6 +15,7 @@
 #include <sys/personality.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 enum { CHANNEL = 4095 };
@@ -52,8 +55,27 @@ static void leave_network(void) {
   put("/proc/self/gid_map", map);
 }
 
+/* A process beside the program that waits until the controller ends, however it ends, and then kills all that is left:
+   the kernel would end the first process alone, and a child that computes does not notice that its channel is closed. */
+static void watch(pid_t controller) {
+  int fd = syscall(SYS_pidfd_open, controller, 0);
+  if (getppid() != controller) _exit(96); /* it has ended already */
+  if (fd < 0 || fork()) {
+    close(fd);
+    return;
+  }
+  prctl(PR_SET_NAME, "fleet_watch");
+  fd = dup2(fd, CHANNEL - 1);
+  for (int k = 0; k < CHANNEL - 1; k++) close(k);
+  struct pollfd ends = {fd, POLLIN, 0};
+  while (poll(&ends, 1, -1) < 0 && errno == EINTR) {}
+  kill(0, SIGKILL);
+  _exit(0);
+}
+
 int main(int n, char **a) {
   if (n < 9) return 96;
+  pid_t controller = getppid();
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   setpgid(0, 0);
   int attached = !strcmp(a[2], "-"); /* it has the terminal, and Ctrl-C is its own */
@@ -72,7 +94,8 @@ int main(int n, char **a) {
   set_limit(RLIMIT_NOFILE, CHANNEL + 1);
   set_limit(RLIMIT_STACK, 8 << 20); /* where memory begins depends on it */
   set_limit(RLIMIT_CORE, 0);
-  if (atol(a[6])) set_limit(RLIMIT_AS, (rlim_t)atol(a[6]) << 20);
+  set_limit(RLIMIT_FSIZE, (rlim_t)atol(a[6]) << 20);
+  watch(controller);
   if (dup2(atoi(a[1]), CHANNEL) < 0) fail("4096 open files are needed, see ulimit -n");
   if (!attached) {
     dup2(open("/dev/null", O_RDWR), 0);

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import struct
 import sys
 from collections import deque
@@ -22,7 +21,7 @@ from fleet.addons.programs.home import copy_of_disk
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
-from fleet.addons.programs.processes import EPOCH_NS, MEMORY_MB, Process, Processes, ProgramEnded
+from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.steering import Vehicle, navigation
 from fleet.addons.programs.streams import Streams
 from world.plugins.kept_files import kept_folder
@@ -247,7 +246,7 @@ class _Life:
             return [*said, *self._end(str(error))]
         said += self._lines()
         if not processes.running:
-            return [*said, *self._end(self._why())]
+            return [*said, *self._end(processes.problem)]
         if processes.is_dead and not streams.busy:
             processes.show_threads()
             said += self._lines()
@@ -278,17 +277,6 @@ class _Life:
     def _tell_own(self, port: int, data: bytes) -> None:
         """Send a datagram to the own programs on the loopback."""
         self.processes.send(68, _ADDRESSES.pack(_LOOPBACK, port, _LOOPBACK, port) + data)
-
-    def _why(self) -> str:
-        """Why it is no good end; "": it is one."""
-        status = self.processes.status
-        if self.processes.refused:
-            return self.processes.refused
-        if not status:
-            return ""
-        if status == -signal.SIGXFSZ:
-            return f"a file of it has more than {MEMORY_MB} MiB, the most of an agent"
-        return f"exit status {status}" if status > 0 else f"ended by signal {-status}"
 
     def _end(self, problem: str) -> list[tuple[int, str, str]]:
         self.over = True

@@ -27,7 +27,7 @@ from fleet.errors import FleetError
 NEVER = 2**63 - 1
 EPOCH_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00 UTC
 MOST_PROCESSES = 256  # of one program at a time
-MEMORY_MB = 2048  # of all its processes together, in use: some run times reserve terabytes of addresses. And of each file
+MEMORY_MB = 2048  # in use by all its processes together, and in a file: run times reserve terabytes of addresses
 LOOK_S = 0.25  # of wall time between two looks at what its processes use
 CPU_S = 10.0  # of computing in one turn
 STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
@@ -436,6 +436,15 @@ class Processes:
         """Whether no thread of any process can ever run again: nothing that they wait for can come."""
         own = [p for p in self._processes.values() if p.family == 0]
         return bool(own) and all(p.inside and p.deadline == NEVER for p in own)
+
+    @property
+    def problem(self) -> str:
+        """Why its end is no good one; "": it is one."""
+        if self.refused or not self.status:
+            return self.refused
+        if self.status == -signal.SIGXFSZ:
+            return f"a file of it has more than {MEMORY_MB} MiB, the most of an agent"
+        return f"exit status {self.status}" if self.status > 0 else f"ended by signal {-self.status}"
 
     def show_threads(self) -> None:
         """Let the processes print where their threads wait, and end."""

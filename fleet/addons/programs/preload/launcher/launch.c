@@ -1,5 +1,5 @@
-/* Starts a program in simulated time: launch CHANNEL OUT ERR HOME LIBRARY MEMORY_MB -- COMMAND ...
-   MEMORY_MB is the most that a file may hold, since files may be memory.
+/* Starts a program in simulated time: launch CHANNEL OUT ERR HOME LIBRARY MEMORY_MB CONTROLLER -- COMMAND ...
+   MEMORY_MB is the most that a file may hold, since files may be memory; CONTROLLER is a process.
 
    What must hold before the program's first instruction is set here, in a process of its own: between fork and exec of
    Python, other threads may hold locks. */
@@ -59,7 +59,7 @@ static void leave_network(void) {
    the kernel would end the first process alone, and a child that computes does not notice that its channel is closed. */
 static void watch(pid_t controller) {
   int fd = syscall(SYS_pidfd_open, controller, 0);
-  if (getppid() != controller) _exit(96); /* it has ended already */
+  if (getppid() != controller) _exit(96); /* it has ended already, and its number may be another's */
   if (fd < 0 || fork()) {
     close(fd);
     return;
@@ -74,8 +74,7 @@ static void watch(pid_t controller) {
 }
 
 int main(int n, char **a) {
-  if (n < 9) return 96;
-  pid_t controller = getppid();
+  if (n < 10) return 96;
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   setpgid(0, 0);
   int attached = !strcmp(a[2], "-"); /* it has the terminal, and Ctrl-C is its own */
@@ -95,7 +94,7 @@ int main(int n, char **a) {
   set_limit(RLIMIT_STACK, 8 << 20); /* where memory begins depends on it */
   set_limit(RLIMIT_CORE, 0);
   set_limit(RLIMIT_FSIZE, (rlim_t)atol(a[6]) << 20);
-  watch(controller);
+  watch(atoi(a[7]));
   if (dup2(atoi(a[1]), CHANNEL) < 0) fail("4096 open files are needed, see ulimit -n");
   if (!attached) {
     dup2(open("/dev/null", O_RDWR), 0);
@@ -106,6 +105,6 @@ int main(int n, char **a) {
   if (chdir(a[4])) fail(a[4]);
   setenv("LD_PRELOAD", a[5], 1);
   setenv("FLEET_PROGRAM", "4095", 1);
-  execvp(a[8], a + 8);
-  fail(a[8]);
+  execvp(a[9], a + 9);
+  fail(a[9]);
 }

@@ -13,10 +13,12 @@ import stat
 import tempfile
 from contextlib import suppress
 from pathlib import Path
+from time import CLOCK_REALTIME, clock_gettime
 from types import TracebackType
 
 PREFIX = "uuv-fleet-"
 LOCK = "owner.lock"  # the file in the folder that is locked
+UNFINISHED_S = 60.0  # after which a folder without a lock was left by somebody killed while making or removing it
 SHORT = "/tmp"  # a place for those who need a short path
 
 
@@ -41,7 +43,7 @@ class PrivateFolder:
 
     def close(self) -> None:
         """Remove the folder with its content."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        _remove(self.path)
         if self.lock >= 0:
             os.close(self.lock)
             self.lock = -1
@@ -72,16 +74,41 @@ def sweep() -> None:
                     _remove_deserted(path)
 
 
+def _remove(path: str | Path) -> None:
+    """Remove a folder, its lock last: who is killed in the middle of this leaves a folder that can be swept."""
+    with suppress(OSError), os.scandir(path) as entries:
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                shutil.rmtree(entry.path, ignore_errors=True)
+            elif entry.name != LOCK:
+                with suppress(OSError):
+                    os.unlink(entry.path)
+    shutil.rmtree(path, ignore_errors=True)
+
+
+def _remove_unfinished(path: str, folder: int) -> None:
+    """Remove a folder that never had its lock, or has it no more, if it is old and holds nothing."""
+    if (
+        set(os.listdir(folder)) <= {f"{LOCK}.new"}
+        and os.fstat(folder).st_mtime < clock_gettime(CLOCK_REALTIME) - UNFINISHED_S
+    ):
+        _remove(path)
+
+
 def _remove_deserted(path: str) -> None:
     folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         if os.fstat(folder).st_uid != os.geteuid():
             return
-        lock = os.open(LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+        try:
+            lock = os.open(LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+        except FileNotFoundError:
+            _remove_unfinished(path, folder)
+            return
         try:
             if stat.S_ISREG(os.fstat(lock).st_mode):
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(path, ignore_errors=True)
+                _remove(path)
         finally:
             os.close(lock)
     finally:

@@ -84,6 +84,35 @@ def test_what_a_killed_owner_left_is_removed_when_the_next_is_made(place: Path) 
         assert list(place.iterdir()) == [other]
 
 
+def test_what_was_killed_while_it_was_made_goes_after_a_while(place: Path) -> None:
+    """It has no lock. One that is new may be in the making; others may be on a disk without locks."""
+    for name, age_s, files in (("old", 99, [f"{LOCK}.new"]), ("new", 0, [f"{LOCK}.new"]), ("full", 99, ["file"])):
+        folder = place / f"{PREFIX}{name}"
+        folder.mkdir()
+        for file in files:
+            (folder / file).touch()
+        changed = folder.stat().st_mtime - age_s
+        os.utime(folder, (changed, changed))
+    sweep()
+    assert sorted(path.name for path in place.iterdir()) == [f"{PREFIX}full", f"{PREFIX}new"]
+
+
+def test_the_lock_is_removed_last(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the rest of a folder whose owner is killed while it removes it would stay for ever."""
+    folder = PrivateFolder()
+    (folder.path / "deep").mkdir()
+    (folder.path / "file").touch()
+    seen: list[list[str]] = []
+    rmtree = netem.private_folder.shutil.rmtree
+    monkeypatch.setattr(
+        netem.private_folder.shutil,
+        "rmtree",
+        lambda path, **rest: (seen.append(sorted(os.listdir(folder.path))), rmtree(path, **rest)),
+    )
+    folder.close()
+    assert seen[-1] == [LOCK] and not list(place.iterdir())
+
+
 def test_a_child_that_has_the_lock_owns_it_too(place: Path) -> None:
     folder = PrivateFolder()
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=(folder.lock,)) as child:

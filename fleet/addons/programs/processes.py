@@ -31,7 +31,8 @@ MEMORY_MB = 2048  # in use by all its processes together, and in a file: run tim
 LOOK_S = 0.25  # of wall time between two looks at what its processes use
 CPU_S = 10.0  # of computing in one turn
 STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
-MOST_TURNS = 20_000  # of one moment: processes that wake each other without an end
+MOST_TURNS = 20_000  # of one moment: processes that wake each other go on at the next tick
+MOST_FULL = 100  # moments with so many turns, one after the other: they wake each other without an end
 MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _HAS_TERMINAL = 2  # of the configuration
@@ -128,6 +129,7 @@ class Processes:
         self._processes: dict[int, Process] = {}
         self._next_pid = 1000 + agent
         self._looked = monotonic()
+        self._full = 0  # moments with too many turns, one after the other
         self.status: int | None = None  # of the first process, as of subprocess.Popen; None: it runs
         self.refused = ""  # what the library has refused, in its words
         self._texts = [_Text(), _Text()]
@@ -165,7 +167,7 @@ class Processes:
         variables = _environment(self._seed) | dict(environment)
         at_terminal = bool(self._flags & _HAS_TERMINAL) and not self._popens
         outputs = ("-", "-") if at_terminal else (out, err)
-        start = [launcher, its.fileno(), *outputs, self.home, library, MEMORY_MB, "--", *command]
+        start = [launcher, its.fileno(), *outputs, self.home, library, MEMORY_MB, self._owner, "--", *command]
         try:
             popen = subprocess.Popen(
                 [*map(str, start)],
@@ -240,9 +242,9 @@ class Processes:
     def _moment(self, now_ns: int) -> None:
         self.now_ns = now_ns
         turns = 0
-        while True:
-            due = [p for p in self._processes.values() if p.inbox or p.deadline <= now_ns or p.did_something]
-            if not due:
+        while due := [p for p in self._processes.values() if p.inbox or p.deadline <= now_ns or p.did_something]:
+            if turns > MOST_TURNS:
+                self._go_on_later(due)
                 return
             # What one has done, such as to write into a pipe, the others of its family may be waiting for.
             again = {p.family for p in due if p.did_something}
@@ -250,12 +252,20 @@ class Processes:
                 process.did_something = False
             for process in [p for p in self._processes.values() if p.family in again or p in due] if again else due:
                 turns += 1
-                if turns > MOST_TURNS:
-                    raise ProgramEnded(f"its processes had {MOST_TURNS} turns at one moment, and none waits")
                 if process.alive:
                     self._turn(process)
             if monotonic() - self._looked > LOOK_S:
                 self._check_memory()
+        self._full = 0
+
+    def _go_on_later(self, due: Sequence[Process]) -> None:
+        """Let processes that have had many turns at one moment go on at the next tick, as a loop does."""
+        self._full += 1
+        if self._full > MOST_FULL:
+            text = "its processes wake each other without an end"
+            raise ProgramEnded(f"{text}: {MOST_TURNS} turns at each of {MOST_FULL} moments")
+        for process in due:
+            process.deadline = self.now_ns + self._tick_ns
 
     def _turn(self, process: Process) -> None:
         data = bytes(process.inbox) + _HEAD.pack(9, ord("T")) + struct.pack("<q", self.now_ns)

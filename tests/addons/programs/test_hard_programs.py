@@ -107,6 +107,23 @@ def test_a_pipe_with_a_name_waits_for_its_other_end(real: Callable[..., Result])
     assert lines(result)[0] == "['hello', 'again']"
 
 
+def test_processes_that_wake_each_other_often_take_time(
+    real: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = """
+        import os, time
+        ours, theirs = os.pipe(), os.pipe()
+        if os.fork() == 0:
+            while os.read(ours[0], 1): os.write(theirs[1], b"x")
+        for k in range(COUNT): os.write(ours[1], b"x"); os.read(theirs[0], 1)
+        print(time.monotonic() - 1000); os._exit(0)
+    """
+    monkeypatch.setattr(processes, "MOST_TURNS", 100)
+    assert 0 < float(lines(real(text.replace("COUNT", "300")))[0]) < 0.2
+    monkeypatch.setattr(processes, "MOST_FULL", 10)
+    assert "wake each other without an end" in lines(real(text.replace("COUNT", "10**9")))[-1]
+
+
 def test_memory_has_a_limit(real: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "MEMORY_MB", 100)
     result = real("kept = []\nwhile True: kept.append(bytes([1]) * 1_000_000)", vehicles=1)

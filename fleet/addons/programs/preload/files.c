@@ -6,6 +6,7 @@
 #include <fcntl.h>
 #include <linux/stat.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <sys/stat.h>
 #include <sys/sysmacros.h>
 #include <sys/xattr.h>
@@ -22,7 +23,9 @@ static const struct { const char *path, *name; } written[] = {
     {"/proc/sys/kernel/hostname", "hostname"}, {"/proc/sys/kernel/random/boot_id", "boot_id"},
     {"/sys/devices/system/cpu/online", "processors"}, {"/sys/devices/system/cpu/possible", "processors"},
     {"/proc/self/stat", "self_stat"}, {"/proc/self/statm", "self_statm"}, {"/proc/self/io", "self_io"},
-    {"/proc/self/schedstat", "empty"}, {"/proc/net/route", "route"}, {"/proc/net/dev", "dev"}, {"/proc/net/if_inet6", "empty"}};
+    {"/proc/self/schedstat", "empty"}, {"/proc/self/sched", "empty"}, {"/proc/vmstat", "empty"}, {"/proc/interrupts", "empty"},
+    {"/proc/softirqs", "empty"}, {"/proc/diskstats", "empty"}, {"/proc/timer_list", "empty"}, {"/proc/pressure/cpu", "empty"},
+    {"/proc/pressure/io", "empty"}, {"/proc/pressure/memory", "empty"}, {"/proc/sys/kernel/ns_last_pid", "processors"}, {"/proc/net/route", "route"}, {"/proc/net/dev", "dev"}, {"/proc/net/if_inet6", "empty"}};
 
 static int below(const char *path, const char *folder, size_t n) {
   return !strncmp(path, folder, n) && (path[n] == '/' || !path[n]);
@@ -132,11 +135,16 @@ const char *real_path_at(int at, const char *path, char *buffer) {
   }
   char number[32];
   int digits = snprintf(number, sizeof number, "/proc/%u", config.pid);
+  if (below(whole, "/proc/thread-self", 17)) memmove(whole + 6, whole + 13, strlen(whole + 13) + 1), path = whole;
   if (below(whole, number, digits)) { /* its own number is ours; the kernel knows it by another one */
     memmove(whole + strlen("/proc/self"), whole + digits, strlen(whole + digits) + 1);
     memcpy(whole, "/proc/self", strlen("/proc/self"));
     path = whole;
+  } else if (!strncmp(whole, "/proc/", 6) && whole[6] >= '0' && whole[6] <= '9' && strtol(whole + 6, 0, 10) != real_pid()) {
+    whole[6] = '0', whole[7] = 0; /* a process of the machine: this one never is */
+    path = whole;
   }
+  if (below(whole, "/proc/self/net", 14)) memmove(whole + 6, whole + 11, strlen(whole + 11) + 1), path = whole;
   for (size_t k = 0; k < LENGTH(written); k++)
     if (!strcmp(whole, written[k].path)) {
       static char name[64];
@@ -254,6 +262,39 @@ static long open_pipe(int folder, const char *real, long flags) {
   }
 }
 
+static long open_text(const char *text, size_t n, long flags) {
+  long fd = SYS(SYS_memfd_create, "text", flags & O_CLOEXEC ? 1 : 0);
+  if (fd < 0) return fd;
+  SYS(SYS_pwrite64, fd, text, n, 0);
+  new_descriptor(fd, UNKNOWN);
+  return fd;
+}
+
+/* /proc/self/status, without the numbers that differ from run to run. */
+static long open_status(long flags) {
+  static char is[8192], shown[8192];
+  long fd = SYS(SYS_openat, AT_FDCWD, "/proc/self/status", O_RDONLY, 0);
+  if (fd < 0) return fd;
+  long n = SYS(SYS_read, fd, is, sizeof is - 1), to = 0;
+  SYS(SYS_close, fd);
+  is[n < 0 ? 0 : n] = 0;
+  for (const char *line = is; *line;) {
+    size_t length = strcspn(line, "\n");
+    length += line[length] == '\n';
+    static const char *const dropped[] = {"NS", "Ngid", "FDSize", "SigQ", "Cpus_", "Mems_", "voluntary", "nonvoluntary", "Hugetlb"};
+    int drops = 0;
+    for (size_t k = 0; k < LENGTH(dropped); k++) drops |= !strncmp(line, dropped[k], strlen(dropped[k]));
+    size_t key = strcspn(line, ":\n"), room = sizeof shown - to;
+    if (length >= room || drops) key = 0;
+    else if (!strncmp(line, "Vm", 2) || !strncmp(line, "Rss", 3)) to += snprintf(shown + to, room, "%.*s:\t   65536 kB\n", (int)key, line);
+    else if (!strncmp(line, "Tgid:", 5) || !strncmp(line, "Pid:", 4)) to += snprintf(shown + to, room, "%.*s:\t%u\n", (int)key, line, config.pid);
+    else if (!strncmp(line, "PPid:", 5)) to += snprintf(shown + to, room, "PPid:\t%u\n", config.parent);
+    else memcpy(shown + to, line, length), to += length;
+    line += length;
+  }
+  return open_text(shown, to, flags);
+}
+
 static long open_file(int folder, const char *path, long flags, long mode) {
   static char buffer[4096];
   const char *real = real_path_at(folder, path, buffer);
@@ -276,12 +317,9 @@ static long open_file(int folder, const char *path, long flags, long mode) {
     draw_bytes(b, sizeof b);
     int n = snprintf(text, sizeof text, "%02x%02x%02x%02x-%02x%02x-4%01x%02x-%02x%02x-%02x%02x%02x%02x%02x%02x\n", b[0], b[1], b[2], b[3], b[4],
                      b[5], b[6] & 15, b[7], (b[8] & 63) | 128, b[9], b[10], b[11], b[12], b[13], b[14], b[15]);
-    long fd = SYS(SYS_memfd_create, "uuid", flags & O_CLOEXEC ? 1 : 0);
-    if (fd < 0) return fd;
-    SYS(SYS_pwrite64, fd, text, n, 0);
-    new_descriptor(fd, UNKNOWN);
-    return fd;
+    return open_text(text, n, flags);
   }
+  if (!strcmp(real, "/proc/self/status")) return open_status(flags);
   static const char *const standard[] = {"/dev/stdin", "/dev/stdout", "/dev/stderr"};
   for (int k = 0; k < 3; k++) { /* opened by its name, a file of ours would be written from its beginning */
     static char name[24];

@@ -19,6 +19,7 @@ struct child { u32 number; int real, gone; };
 static struct child children[1024];
 enum { CHILDREN = 1024 };
 extern char **environ;
+static int niceness; /* it is kept, and changes nothing */
 
 static struct child *by_number(u32 number) {
   for (int k = 0; k < CHILDREN; k++)
@@ -323,10 +324,11 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
       *(u64 *)a[2] = 1;
       return 8;
     }
-    case SYS_sched_setaffinity: case SYS_sched_setparam: case SYS_sched_setscheduler: case SYS_setpriority: return 0; /* one thread runs at a time */
+    case SYS_sched_setaffinity: case SYS_sched_setparam: case SYS_sched_setscheduler: return 0; /* one thread runs at a time */
     case SYS_sched_getscheduler: return SCHED_OTHER;
     case SYS_sched_getparam: return *(int *)a[1] = 0;
-    case SYS_getpriority: return 20; /* as the kernel tells niceness 0 */
+    case SYS_setpriority: niceness = (int)a[2] < -20 ? -20 : (int)a[2] > 19 ? 19 : (int)a[2]; return 0;
+    case SYS_getpriority: return 20 - niceness; /* as the kernel tells it */
     case SYS_sched_yield: yield(); return 0;
     case SYS_sethostname: case SYS_setdomainname: case SYS_syslog: case SYS_vhangup: case SYS_acct: return -EPERM;
     case SYS_uname: {

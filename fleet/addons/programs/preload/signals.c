@@ -64,6 +64,7 @@ static void fault(int signal, siginfo_t *information, void *context_) {
   }
   struct action plain = {0, 0x04000000, (void *)own_return, 0};
   SYS(SYS_rt_sigaction, signal, &plain, 0, 8); /* it happens again, and ends the program */
+  if (information->si_code <= 0) SYS(SYS_kill, real_pid(), signal); /* it was sent, and happens no more by itself */
 }
 
 static void spun(int signal, siginfo_t *information, void *context) {

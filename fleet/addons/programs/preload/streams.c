@@ -106,7 +106,7 @@ long stream_listen(int fd, struct sock *s) {
 
 long stream_connect(int fd, struct sock *s) {
   if (!connections) connections = now / 1000000 % (1 << 30); /* a life after a kill is to have other numbers */
-  s->connection = (u64)config.agent << 40 | (u64)(config.pid & 0xff) << 32 | ++connections << 1;
+  s->connection = (u64)config.agent << 48 | (u64)(config.pid / 1000 & 0xffff) << 32 | ++connections << 1; /* a process's number grows by 1000 */
   s->connecting = 1;
   struct call call = {s->connection, s->own, s->to};
   int v6 = !is_v4(s->to.ip);

@@ -70,6 +70,19 @@ void show_socket(struct sockaddr *name, socklen_t *size, socklen_t room) {
   *size = head + n;
 }
 
+/* Whether a message hands over a descriptor of which this library knows more than the kernel. */
+static int hands_over(const struct msghdr *m) {
+  if (!m->msg_control || m->msg_controllen < sizeof(struct cmsghdr)) return 0;
+  for (const struct cmsghdr *c = CMSG_FIRSTHDR(m); c; c = CMSG_NXTHDR((struct msghdr *)m, (struct cmsghdr *)c))
+    if (c->cmsg_level == SOL_SOCKET && c->cmsg_type == SCM_RIGHTS)
+      for (size_t k = 0; CMSG_LEN((k + 1) * sizeof(int)) <= c->cmsg_len; k++) {
+        int fd;
+        memcpy(&fd, CMSG_DATA(c) + k * sizeof fd, sizeof fd);
+        if (is_own(fd) || (kind_of(fd) != PLAIN && kind_of(fd) != POLLABLE)) return 1;
+      }
+  return 0;
+}
+
 /* Calls that would wait in the kernel wait here. */
 long unix_call(long number, const long a[6]) {
   static struct sockaddr_un to;
@@ -102,6 +115,10 @@ long unix_call(long number, const long a[6]) {
       socklen_t n = number == SYS_sendto ? a[5] : ((struct msghdr *)a[1])->msg_namelen;
       int flags = number == SYS_sendto ? a[3] : a[2], size = 0;
       if (name && n && name->sa_family == AF_UNIX && (size = mapped_socket(name, n, (void *)&to)) < 0) return size;
+      if (number == SYS_sendmsg && hands_over((void *)a[1])) {
+        say("a socket of the network, a timer or a source of chance is sent to a process, which is refused in simulated time");
+        return -EPERM;
+      }
       for (;;) {
         struct msghdr m;
         if (number == SYS_sendmsg) m = *(struct msghdr *)a[1], m.msg_name = size ? &to : 0, m.msg_namelen = size;

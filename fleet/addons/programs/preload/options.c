@@ -40,6 +40,7 @@ long set_option(int fd, struct sock *s, int level, int option, const void *value
   if (level == SOL_SOCKET) switch (option) {
       case SO_RCVTIMEO: s->receive_timeout = timeout_of(value); return 0;
       case SO_SNDTIMEO: s->send_timeout = timeout_of(value); return 0;
+      case SO_LINGER: s->resets = size >= 8 && v && !((const int *)value)[1]; return 0;
       case SO_BROADCAST: s->broadcast = v != 0; return 0;
       case SO_REUSEADDR:
       case SO_REUSEPORT: s->reuse = v != 0; return 0;

@@ -161,7 +161,7 @@ struct address { u8 ip[16]; u16 port; } __attribute__((packed)); /* IPv4 as ::ff
 struct sock {
   int used, references, peer, type, v6, borrowed;
   struct address own, to;
-  u8 bound, connected, connecting, listening, closing, sent_end, got_end, stopped, congested, fresh; /* fresh: it stands, and no call has said so */
+  u8 bound, connected, connecting, listening, closing, sent_end, got_end, stopped, congested, resets, fresh; /* fresh: it stands, and no call has said so */
   u8 broadcast, no_loop, ttl, reuse, information, stamps, v6_only;
   int error;
   i64 receive_timeout, send_timeout, last_stamp;

@@ -501,7 +501,7 @@ long socket_call(long number, const long a[6]) {
       return 0;
     }
     case SYS_getpeername:
-      if (!s->connected) return -ENOTCONN;
+      if (!s->connected || (s->type == SOCK_STREAM && !s->connection)) return -ENOTCONN; /* also after a reset */
       put_address((void *)a[1], (void *)a[2], &s->to, s->v6);
       return 0;
     case SYS_setsockopt: return set_option(a[0], s, a[1], a[2], (void *)a[3], a[4]);

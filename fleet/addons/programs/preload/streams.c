@@ -79,7 +79,7 @@ void stream_close(struct sock *s) {
   /* What was sent and not acknowledged is still sent by the controller. Unread bytes, or bytes that still come, are
      answered by a reset, as in TCP. */
   if (s->connection && !s->borrowed) {
-    u8 unread = s->n_waiting > 0;
+    u8 unread = s->n_waiting > 0 || s->resets;
     struct { u64 connection; u8 unread; } __attribute__((packed)) head = {s->connection, unread};
     tell('K', &head, sizeof head, 0, 0);
   }
@@ -295,7 +295,7 @@ long stream_shutdown(struct sock *s, int how) {
 void close_streams(void) {
   for (struct sock *s = socks; s < socks + SOCKETS; s++)
     if (s->used && s->type == SOCK_STREAM && s->connection && !s->borrowed) {
-      struct { u64 connection; u8 unread; } __attribute__((packed)) head = {s->connection, s->n_waiting > 0};
+      struct { u64 connection; u8 unread; } __attribute__((packed)) head = {s->connection, s->n_waiting > 0 || s->resets};
       tell('K', &head, sizeof head, 0, 0);
     }
 }

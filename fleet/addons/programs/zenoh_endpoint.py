@@ -23,7 +23,7 @@ from typing import Any
 import msgpack
 import zenoh
 
-from fleet.addons.programs.ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
+from fleet.addons.programs.known_ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
 from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.queries import OpenQueries, Ticket
 from netem.wire.robot_queues import Inlet

@@ -16,7 +16,7 @@ from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.process_agent import ProcessAgent, epoch_ns, own_python
 from world.errors import PluginError
 
-_PARAMETERS = ("interpreter", "arguments", "signals", "addresses", "env", "files", "epoch")
+_PARAMETERS = ("interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors")
 # Of 1.0, where Python ran on stand-ins. Those with a value here need nothing any more.
 _OF_BEFORE = {"process": (True, "yes"), "order": ("ready",), "shared": None}
 _GONE = {
@@ -24,6 +24,7 @@ _GONE = {
     "cost": "computing takes no time; a program that takes time sleeps",
     "process": "a program always is a process of its own",
 }
+MOST_PROCESSORS = 64  # that a process sees
 
 
 def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgent]:
@@ -59,6 +60,9 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         epoch_ns(str(parameters.get("epoch") or "2026-01-01"))
     except ValueError as error:
         raise _wrong(path, f"epoch: {error}", "write a date and a time, such as 2026-06-01T12:00:00") from None
+    processors = parameters.get("processors", 1)
+    if not isinstance(processors, int) or not 1 <= processors <= MOST_PROCESSORS:
+        raise _wrong(path, f"processors: expected 1 to {MOST_PROCESSORS}, got {processors!r}")
     try:
         compiled()
     except NoLibraryError as error:

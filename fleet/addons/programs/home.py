@@ -23,6 +23,7 @@ class Home:
         agent: int,
         agents: int,
         epoch_ns: int,
+        processors: int,
         disk: Path | None = None,
         disk_before: Path | None = None,
     ) -> None:
@@ -33,6 +34,7 @@ class Home:
             agent: number of the agent.
             agents: how many there are.
             epoch_ns: the real time at the beginning of a run [ns since 1970].
+            processors: how many the program sees.
             disk: where it is, and stays when the program ends; None: in a private folder, which goes with the program.
             disk_before: in place of `disk`, how that was when this life began, see `copy_of_disk`; None: it was empty.
         """
@@ -45,7 +47,7 @@ class Home:
         for name in _NOT_KEPT:
             shutil.rmtree(self.path / name, ignore_errors=True)
             (self.path / name).mkdir()
-        _show_host(self.path / ".host", agent, agents, epoch_ns)
+        _show_host(self.path / ".host", agent, agents, epoch_ns, processors)
         for path in files if new else ():
             if path.is_dir():
                 _copy(path, self.path / path.name)
@@ -58,7 +60,7 @@ class Home:
             self._folder.close()
 
 
-def _show_host(host: Path, agent: int, agents: int, epoch_ns: int) -> None:
+def _show_host(host: Path, agent: int, agents: int, epoch_ns: int, processors: int) -> None:
     """Write what a program finds below /etc, /proc and /sys."""
     width = "10.0.{}.{}"
     names = [f"{width.format(i >> 8, i & 255)} auv{i} auv-{i} agent{i}" for i in range(1, agents + 1)]
@@ -77,7 +79,7 @@ def _show_host(host: Path, agent: int, agents: int, epoch_ns: int) -> None:
         "stat": f"cpu 0 0 0 0 0 0 0 0 0 0\ncpu0 0 0 0 0 0 0 0 0 0 0\nbtime {epoch_ns // 10**9 - 1000}\n",
         "route": "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
         "auv0\t0000000A\t00000000\t0001\t0\t0\t0\t00FFFFFF\t0\t0\t0\n",
-        "processors": "0\n",
+        "processors": f"0-{processors - 1}\n" if processors > 1 else "0\n",
         "dev": "Inter-| Receive | Transmit\n face |bytes packets errs drop fifo frame compressed multicast|"
         "bytes packets errs drop fifo colls carrier compressed\n"
         + "".join(f"  {name}: {' '.join('0' * 16)}\n" for name in ("lo", "auv0")),

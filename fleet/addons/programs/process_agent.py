@@ -52,6 +52,7 @@ class ProcessAgent:
         env: Mapping[str, Any] | None = None,
         files: Sequence[str] = (),
         epoch: str = "",
+        processors: int = 1,
         **_: Any,
     ) -> None:
         """Prepare the program; it is started with the agent's first tick.
@@ -65,6 +66,7 @@ class ProcessAgent:
             env: variables of the environment.
             files: files and folders that are copied into the program's home, beside the program.
             epoch: the time at the beginning of the run, such as `2026-06-01T12:00:00`, in UTC; "": 2026-01-01.
+            processors: how many the program sees.
         """
         self._config, self._tick_ns = config, config.tick_ns
         words = {"id": config.id, "seed": config.seed, "zenoh": _ENDPOINT}
@@ -76,6 +78,7 @@ class ProcessAgent:
         self._book = _AddressBook(config, addresses or {})
         self._formation = FormationAgent(config)
         self._epoch_ns = epoch_ns(epoch) if epoch else EPOCH_NS
+        self._processors = processors
         self._life: _Life | None = None
         self._owner = os.getpid()
         self._history: list[tuple[int, list[Delivery], Nav | None]] = []
@@ -120,6 +123,7 @@ class ProcessAgent:
                 self._config, self._words, self._environment, self._files, self._book, now_ns, self._epoch_ns,
                 self._disk,
                 self._disk_before,
+                self._processors,
             )  # fmt: skip
         life = self._life
         for at_ns, stream, text in life.step(now_ns, packets, nav):
@@ -191,6 +195,7 @@ class _Life:
         epoch: int,
         disk: Path | None,
         disk_before: Path | None,
+        processors: int,
     ) -> None:
         self._id, self._book = config.id, book
         self._out: deque[bytes] = deque()
@@ -207,7 +212,7 @@ class _Life:
         self.processes = Processes(
             command, environment, files, agent=config.id, agents=book.largest, tick_ns=config.tick_ns, now_ns=now_ns,
             seed=Random(f"{config.seed}/{config.id}/{now_ns}").getrandbits(63), told=self._told, epoch_ns=epoch,
-            other_addresses=book.has_others, disk=disk, disk_before=disk_before,
+            other_addresses=book.has_others, disk=disk, disk_before=disk_before, processors=processors,
             attached=attachment(config.id),
         )  # fmt: skip
 

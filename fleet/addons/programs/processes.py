@@ -94,6 +94,7 @@ class Processes:
         disk: Path | None = None,
         disk_before: Path | None = None,
         attached: Attachment | None = None,
+        processors: int = 1,
     ) -> None:
         """Start it; nothing of it runs before `begin`.
 
@@ -111,6 +112,7 @@ class Processes:
             other_addresses: agents have other addresses, too, than those of their nodes.
             disk, disk_before: see `Home`.
             attached: who sits at it; None: nobody.
+            processors: how many it sees. One thread runs at a time, whatever it sees.
 
         Raises:
             NoLibraryError: programs cannot run here.
@@ -118,13 +120,14 @@ class Processes:
         """
         self._owner = os.getpid()
         self._agent, self._agents, self._seed, self._tick_ns, self._epoch_ns = agent, agents, seed, tick_ns, epoch_ns
-        self.now_ns, self._told, self._flags = now_ns, told, int(other_addresses)
+        self.now_ns, self._told = now_ns, told
+        self._flags = int(other_addresses) | processors << 8
         self._attached = attached
         self._gdb: subprocess.Popen[bytes] | None = None
         if attached is not None and not attached.gdb:
             self._flags |= _HAS_TERMINAL
         self._closed = False
-        self._home = Home(files, agent, agents, epoch_ns, disk, disk_before)
+        self._home = Home(files, agent, agents, epoch_ns, processors, disk, disk_before)
         self.home = self._home.path
         self._processes: dict[int, Process] = {}
         self._next_pid = 1000 + agent

@@ -307,6 +307,12 @@ def test_an_agent_has_files_of_its_own(real: Callable[..., Result], tmp_path: Pa
     assert sorted(path.name for path in (tmp_path / "data").iterdir()) == ["map.txt"]
 
 
+def test_it_sees_as_many_processors_as_the_scenario_says(real: Callable[..., Result]) -> None:
+    text = "import os; print(os.cpu_count(), len(os.sched_getaffinity(0)))"
+    assert lines(real(text))[0] == "1 1"
+    assert lines(real(text, processors="4"))[0] == "4 4"
+
+
 def test_a_kill_is_one_and_the_program_begins_anew(real: Callable[..., Result], tmp_path: Path) -> None:
     text = """
         import atexit, sys, time

@@ -318,10 +318,10 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
     case SYS_setsid: return config.pid;
     case SYS_set_robust_list: me->robust = a[0]; return a[1] == 24 ? 0 : -EINVAL;
     case SYS_set_tid_address: me->clear_tid = (void *)a[0]; return me->number;
-    case SYS_sched_getaffinity: { /* one processor, however many the machine has */
+    case SYS_sched_getaffinity: { /* as many processors as the scenario says, however many the machine has */
       if (a[1] < 8) return -EINVAL;
       memset((void *)a[2], 0, a[1] < 128 ? a[1] : 128);
-      *(u64 *)a[2] = 1;
+      *(u64 *)a[2] = ~0ull >> (64 - (config.flags >> 8));
       return 8;
     }
     case SYS_sched_setaffinity: case SYS_sched_setparam: case SYS_sched_setscheduler: return 0; /* one thread runs at a time */

@@ -13,6 +13,7 @@ import socket
 import struct
 import subprocess
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from time import monotonic
 from fleet.addons.programs.attachment import Attachment, start_gdb, take_terminal
 from fleet.addons.programs.home import Home
 from fleet.addons.programs.library import compiled
+from fleet.addons.programs.ports import Ports
 from fleet.errors import FleetError
 
 NEVER = 2**63 - 1
@@ -130,6 +132,7 @@ class Processes:
         self._home = Home(files, agent, agents, epoch_ns, processors, disk, disk_before)
         self.home = self._home.path
         self._processes: dict[int, Process] = {}
+        self._ports: defaultdict[int, Ports] = defaultdict(Ports)  # by family: what helpers have hinders nobody
         self._next_pid = 1000 + agent
         self._looked = monotonic()
         self._full = 0  # moments with too many turns, one after the other
@@ -322,10 +325,15 @@ class Processes:
         if kind == 72:  # H: the library is loaded
             process.began = True
             self._debug(process)
+            self._ports[process.family].ended(process.pid)
             self._answer(process, b"J" + self._configuration(process))
         elif kind == 71:  # G: a signal for another process
             which, number = struct.unpack("<qB", data)
             self._answer(process, b"U" + bytes((self._kill(process, which, number),)))
+        elif kind == 66:  # B: it binds a socket
+            self._answer(process, b"U" + self._ports[process.family].book(process.pid, data))
+        elif kind == 67:  # C: it closes one
+            self._ports[process.family].leave(process.pid, data)
         elif kind == 89:  # Y: the kernel's number of a process that it has started
             number, real = struct.unpack("<II", data)
             if number in self._processes:
@@ -378,6 +386,7 @@ class Processes:
         process.alive = False
         process.channel.close()
         self._told(process, 0, b"")
+        self._ports[process.family].ended(process.pid)
         self._processes.pop(process.pid, None)
         if process is self._first:
             self.status = self._popens[0].wait()

@@ -257,6 +257,38 @@ def test_datagrams_go_where_they_are_sent(real: Callable[..., Result]) -> None:
     assert two[1:3] == ["60000", "10.0.0.1 ('10.0.0.1', 80)"]
 
 
+def test_the_processes_of_an_agent_share_its_ports(real: Callable[..., Result]) -> None:
+    text = """
+        import os, socket, sys, time
+        def bound(port, kind=socket.SOCK_DGRAM, reuses=0):
+            s = socket.socket(socket.AF_INET, kind)
+            if reuses: s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+            try: s.bind(("", port))
+            except OSError as error: return print("child" if child else "parent", port, error.strerror)
+            s.settimeout(0.2)
+            return s
+        child = 0
+        mine, server, shared, free = bound(7410), bound(80, socket.SOCK_STREAM), bound(90, reuses=1), bound(0)
+        server.listen()
+        child = not os.fork()
+        if child:
+            assert bound(7410) is None and bound(80, socket.SOCK_STREAM) is None
+            other, again, also = bound(7412), bound(90, reuses=1), bound(0)
+            print("free ports", also.getsockname()[1] - free.getsockname()[1])
+            other.sendto(b"to the parent", ("127.0.0.1", 7410))
+            print("child", other.recv(99))
+            sys.exit()
+        print("parent", mine.recv(99))
+        bound(7412)
+        mine.sendto(b"to the child", ("127.0.0.1", 7412))
+        os.wait()
+        print("parent", bound(7412).getsockname()[1])
+    """
+    in_use = "child 7410 Address already in use", "child 80 Address already in use"
+    talk = "free ports 1", "parent b'to the parent'", "parent 7412 Address already in use", "child b'to the child'"
+    assert lines(real(text)) == [*in_use, *talk, "parent 7412", "end: exit status 0"]
+
+
 def test_streams_are_whole_over_links_that_lose(real: Callable[..., Result], tmp_path: Path) -> None:
     text = """
         import hashlib, socket, sys, time

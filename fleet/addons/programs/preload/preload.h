@@ -162,7 +162,7 @@ struct sock {
   int used, references, peer, type, v6, borrowed;
   struct address own, to;
   u8 bound, connected, connecting, listening, closing, sent_end, got_end, stopped, congested, resets, fresh; /* fresh: it stands, and no call has said so */
-  u8 broadcast, no_loop, ttl, reuse, information, stamps, v6_only;
+  u8 broadcast, no_loop, ttl, reuse, information, stamps, v6_only, booked;
   int error;
   i64 receive_timeout, send_timeout, last_stamp;
   u8 groups[16][16];
@@ -198,7 +198,7 @@ int is_v4(const u8 *ip);
 int is_loopback(const u8 *ip);
 int is_everybody(const u8 *ip);
 void own_address(u8 *ip, int v6);
-u16 free_port(int type);
+void leave_port(struct sock *sock); /* it is closed */
 int is_mine(const u8 *ip);
 
 /* unix.c */

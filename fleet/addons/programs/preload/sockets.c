@@ -136,6 +136,7 @@ void release_sock(struct sock *s) {
     stream_close(s);
     return;
   }
+  leave_port(s);
   SYS(SYS_close, s->peer);
   s->used = 0;
 }
@@ -156,18 +157,30 @@ static int taken(int type, u16 port, const struct sock *but, const u8 *ip) {
   return 0;
 }
 
-u16 free_port(int type) {
-  static u16 next[2] = {49152, 49152}; /* RFC 6335: the ports that nobody is registered for */
-  for (int k = 0; k < 16384; k++) {
-    u16 port = next[type == SOCK_STREAM];
-    next[type == SOCK_STREAM] = port == 65535 ? 49152 : port + 1;
-    if (!taken(type, port, 0, 0)) return port;
-  }
-  return 0;
+/* The processes of an agent share its ports, and so the controller keeps the book of them. Without a port it gives a free
+   one. Returns the port; 0: another process has it. */
+static u16 book_port(struct sock *s, const struct address *own) {
+  int shares = 0;
+  for (int k = 0; k < s->n_options; k++)
+    shares |= s->options[k].level == SOL_SOCKET && s->options[k].option == SO_REUSEPORT && s->options[k].value;
+  u8 flags = (s->type == SOCK_STREAM) | (s->reuse ? 2 : 0) | (shares ? 4 : 0) | (s->v6_only ? 8 : 0);
+  struct { u16 index; u8 flags, v6; struct address own; } __attribute__((packed)) head = {s - socks, flags, s->v6, *own};
+  tell('B', &head, sizeof head, 0, 0);
+  u16 port;
+  memcpy(&port, ask('U').data, sizeof port);
+  s->booked = port != 0;
+  return port;
+}
+
+void leave_port(struct sock *s) {
+  u16 index = s - socks;
+  if (s->booked && !s->borrowed) tell('C', &index, sizeof index, 0, 0);
 }
 
 static void bind_free(struct sock *s) {
-  if (!s->bound) s->own.port = free_port(s->type), s->bound = 1;
+  if (s->bound) return;
+  struct address none = {.port = 0};
+  s->own.port = book_port(s, &none), s->bound = 1;
 }
 
 static long bind_socket(struct sock *s, const struct sockaddr *to, socklen_t size) {
@@ -177,9 +190,9 @@ static long bind_socket(struct sock *s, const struct sockaddr *to, socklen_t siz
   if (s->bound) return -EINVAL;
   if (!is_any(own.ip) && !is_loopback(own.ip) && !is_mine(own.ip) && !is_everybody(own.ip)) return -EADDRNOTAVAIL;
   if (own.port && taken(s->type, own.port, s, own.ip)) return -EADDRINUSE;
-  s->own = own;
-  if (!own.port) s->own.port = free_port(s->type);
-  s->bound = 1;
+  u16 port = book_port(s, &own);
+  if (!port) return -EADDRINUSE;
+  s->own = own, s->own.port = port, s->bound = 1;
   return 0;
 }
 

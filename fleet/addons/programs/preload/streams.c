@@ -91,6 +91,7 @@ void stream_close(struct sock *s) {
       }
   }
   free_room(s);
+  leave_port(s);
   SYS(SYS_close, s->peer);
   s->used = 0;
 }

@@ -127,7 +127,7 @@ class ProcessAgent:
             )  # fmt: skip
         life = self._life
         for at_ns, stream, text in life.step(now_ns, packets, nav):
-            for each in self.reads if stream == "out" else ():
+            for each in self.reads if stream in ("out", "err") else ():  # loggers, as those of ROS, write to err
                 if (value := each.read(text)) is not None:
                     self.values[each.name] = value
             if tell:

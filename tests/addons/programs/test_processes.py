@@ -339,6 +339,12 @@ def test_an_agent_has_files_of_its_own(real: Callable[..., Result], tmp_path: Pa
     assert sorted(path.name for path in (tmp_path / "data").iterdir()) == ["map.txt"]
 
 
+def test_signals_are_read_from_both_outputs(real: Callable[..., Result], tmp_path: Path) -> None:
+    real("import sys, time; print('3 v', file=sys.stderr); time.sleep(9)")
+    checks = {"checks": {"signal": {"name": "a-line", "topic": "control.v", "above": 2.5, "after": "1 s"}}}
+    assert fleet.run("own.yaml", out=tmp_path / "runs", set=checks).status is Status.PASS
+
+
 def test_it_sees_as_many_processors_as_the_scenario_says(real: Callable[..., Result]) -> None:
     text = "import os; print(os.cpu_count(), len(os.sched_getaffinity(0)))"
     assert lines(real(text))[0] == "1 1"

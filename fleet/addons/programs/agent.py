@@ -16,7 +16,7 @@ from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.process_agent import ProcessAgent, epoch_ns, own_python
 from world.errors import PluginError
 
-_PARAMETERS = ("interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors")
+_PARAMETERS = ("interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup")
 # Of 1.0, where Python ran on stand-ins. Those with a value here need nothing any more.
 _OF_BEFORE = {"process": (True, "yes"), "order": ("ready",), "shared": None}
 _GONE = {
@@ -46,7 +46,9 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
             raise _wrong(path, f"{key}: {_GONE[key]}", "remove the key")
         raise _wrong(path, f"there is no key {key!r}", f"known: {', '.join(_PARAMETERS)}")
     lines = tuple(_line_signal(path, name, about) for name, about in dict(parameters.get("signals") or {}).items())
-    interpreter = parameters.get("interpreter") or (own_python() if path.suffix == ".py" else "")
+    setup = _setup(path, parameters.get("setup"))
+    python = "python3" if setup else own_python()
+    interpreter = parameters.get("interpreter") or (python if path.suffix == ".py" else "")
     found = shutil.which(interpreter) if interpreter else None
     if interpreter and found is None:
         raise _wrong(path, f"interpreter: there is no command {interpreter!r}", "give its path, or install it")
@@ -70,11 +72,22 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
 
     class Program(ProcessAgent):
         plugin_file = path
-        command = (found, str(path)) if found else (str(path),)
+        command = (*setup, *((interpreter if setup else found, str(path)) if found else (str(path),)))
         reads = lines
         signals = tuple(Signal(each.name, "1", "as the program printed it last") for each in lines)
 
     return Program
+
+
+def _setup(path: Path, name: Any) -> tuple[str, ...]:
+    """The beginning of a command line that reads a file of a shell first, such as `setup.bash` of ROS 2; (): none."""
+    if not name:
+        return ()
+    file = (path.parent / Path(str(name)).expanduser()).resolve()
+    if not file.is_file():
+        raise _wrong(path, f"setup: there is no file {file}", "give a file of bash, such as /opt/ros/jazzy/setup.bash")
+    # In a function, so that the file does not see the program's arguments.
+    return "/bin/bash", "-c", 'setup() { . "$0"; }; setup; exec "$@"', str(file)
 
 
 def _wrong(path: Path, problem: str, hint: str = "") -> PluginError:

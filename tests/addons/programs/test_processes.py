@@ -345,6 +345,14 @@ def test_signals_are_read_from_both_outputs(real: Callable[..., Result], tmp_pat
     assert fleet.run("own.yaml", out=tmp_path / "runs", set=checks).status is Status.PASS
 
 
+def test_a_file_of_the_shell_is_read_first(real: Callable[..., Result], tmp_path: Path) -> None:
+    (tmp_path / "setup.bash").write_text("export DEPTH=$((30 + $#)) FOLDER=$(dirname ${BASH_SOURCE[0]})")
+    text = f"import os, sys; print(os.environ['DEPTH'], os.environ['FOLDER'] == '{tmp_path}', sys.argv[1:])"
+    assert lines(real(text, setup="setup.bash"))[0] == "30 True ['1']"
+    with pytest.raises(FleetError, match="there is no file"):
+        real(text, setup="nothing.bash")
+
+
 def test_it_sees_as_many_processors_as_the_scenario_says(real: Callable[..., Result]) -> None:
     text = "import os; print(os.cpu_count(), len(os.sched_getaffinity(0)))"
     assert lines(real(text))[0] == "1 1"

@@ -83,11 +83,13 @@ def _setup(path: Path, name: Any) -> tuple[str, ...]:
     """The beginning of a command line that reads a file of a shell first, such as `setup.bash` of ROS 2; (): none."""
     if not name:
         return ()
-    file = (path.parent / Path(str(name)).expanduser()).resolve()
-    if not file.is_file():
-        raise _wrong(path, f"setup: there is no file {file}", "give a file of bash, such as /opt/ros/jazzy/setup.bash")
+    given = Path(str(name)).expanduser()
+    file = next((each for folder in (path.parent, Path.cwd()) if (each := folder / given).is_file()), None)
+    if file is None:
+        hint = "give a file of bash, beside the program or where you are, such as /opt/ros/jazzy/setup.bash"
+        raise _wrong(path, f"setup: there is no file {given}", hint)
     # In a function, so that the file does not see the program's arguments.
-    return "/bin/bash", "-c", 'setup() { . "$0"; }; setup; exec "$@"', str(file)
+    return "/bin/bash", "-c", 'setup() { . "$0"; }; setup; exec "$@"', str(file.resolve())
 
 
 def _wrong(path: Path, problem: str, hint: str = "") -> PluginError:

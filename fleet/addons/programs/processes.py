@@ -146,6 +146,8 @@ class Processes:
     def begin(self) -> None:
         """Let the program run until it waits for the first time. Raises ProgramEnded, as `advance`."""
         self._read_turn(self._first)
+        if self.status == 0 and not self._first.executions:
+            raise ProgramEnded("the library was not loaded into it: it ran outside of simulated time")
 
     def begin_helper(self, command: Sequence[str]) -> int:
         """Start a program of ours beside it, with the same addresses, and let it run until it waits.

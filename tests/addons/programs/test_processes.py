@@ -424,6 +424,28 @@ def test_calls_that_do_not_come_from_the_c_library_are_answered(tmp_path: Path, 
     assert "system call 169 is not emulated in simulated time" in found
 
 
+def test_what_libraries_do_at_their_beginning_is_in_simulated_time(tmp_path: Path, run: RunProgram) -> None:
+    (tmp_path / "library.c").write_text("""
+        #define _GNU_SOURCE
+        #include <sched.h>
+        #include <stdio.h>
+        #include <time.h>
+        __attribute__((constructor)) static void begin(void) {
+            cpu_set_t set;
+            sched_getaffinity(0, sizeof set, &set);
+            printf("%ld with %d\\n", (long)time(0), CPU_COUNT(&set));
+        }
+    """)
+    (tmp_path / "main.c").write_text("int main(void) { return 0; }")
+    built = ["cc", "-shared", "-fPIC", "-o", "libown.so", "library.c"]
+    linked = ["cc", "-Wl,--no-as-needed", "-o", "begun", "main.c", "-L.", "-lown", f"-Wl,-rpath,{tmp_path}"]
+    for command in (built, linked):
+        subprocess.run(command, check=True, cwd=tmp_path)
+    (tmp_path / "own.yaml").write_text(scenario(processors="3").replace("program.py", "begun"))
+    result = fleet.run("own.yaml", out=tmp_path / "runs")
+    assert lines(result) == ["1767225600 with 3", "end: exit status 0"]
+
+
 def test_what_cannot_be_preloaded_is_refused_before_the_run(tmp_path: Path, run: RunProgram) -> None:
     (tmp_path / "static.c").write_text("int main() { return 0; }")
     subprocess.run(["cc", "-static", "-o", str(tmp_path / "static"), str(tmp_path / "static.c")], check=True)

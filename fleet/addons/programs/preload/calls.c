@@ -98,8 +98,12 @@ long on_call(ucontext_t *context, long number, const long arguments[6]) {
   return result;
 }
 
-__attribute__((constructor)) static void begin(void) {
-  const char *channel = getenv("FLEET_PROGRAM");
+/* It runs before what the program's libraries do at their beginning, and before the C library knows its environment. */
+__attribute__((constructor)) static void begin(int n, char **words, char **environment) {
+  (void)n, (void)words;
+  const char *channel = 0;
+  for (char **e = environment; *e; e++)
+    if (!strncmp(*e, "FLEET_PROGRAM=", 14)) channel = *e + 14;
   if (!channel || atoi(channel) != CHANNEL) return; /* the library was preloaded by somebody else */
   setvbuf(stdout, 0, _IOLBF, BUFSIZ); /* a line is to be seen when it is printed, as on a terminal */
   say_hello();

@@ -554,7 +554,8 @@ def _environment(seed: int) -> dict[str, str]:
     kept = {key: value for key, value in os.environ.items() if key in _KEPT}
     return kept | {
         "HOME": "/home/auv", "USER": "auv", "LOGNAME": "auv", "TMPDIR": "/tmp", "LANG": "C.UTF-8", "TZ": "UTC",
-        "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": str(seed % 2**32), "PYTHONUNBUFFERED": "1",
+        "OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "PASSIVE", "KMP_BLOCKTIME": "0",  # one thread runs at a time
+        "PYTHONHASHSEED": str(seed % 2**32), "PYTHONUNBUFFERED": "1",
         "PYTHONDONTWRITEBYTECODE": "1",
         "ZENOH_RUNTIME": _ZENOH_RUNTIME,
         "PYTHONFAULTHANDLER": "1",  # a stack when it computes without an end, or waits for ever

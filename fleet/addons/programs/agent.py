@@ -13,7 +13,7 @@ from agents.api import Signal
 from fleet.addons.programs.executables import obstacle
 from fleet.addons.programs.library import NoLibraryError, compiled
 from fleet.addons.programs.line_signal import LineSignal
-from fleet.addons.programs.process_agent import ProcessAgent, epoch_ns, own_python
+from fleet.addons.programs.process_agent import PROCESSORS, ProcessAgent, epoch_ns, own_python
 from world.errors import PluginError
 
 _PARAMETERS = ("interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup")
@@ -62,7 +62,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         epoch_ns(str(parameters.get("epoch") or "2026-01-01"))
     except ValueError as error:
         raise _wrong(path, f"epoch: {error}", "write a date and a time, such as 2026-06-01T12:00:00") from None
-    processors = parameters.get("processors", 1)
+    processors = parameters.get("processors", PROCESSORS)
     if not isinstance(processors, int) or not 1 <= processors <= MOST_PROCESSORS:
         raise _wrong(path, f"processors: expected 1 to {MOST_PROCESSORS}, got {processors!r}")
     try:

@@ -29,6 +29,7 @@ from world.plugins.output import line_writer
 
 NS = 10**9
 MOST_IN_ROUND = 40_000  # bytes; the transport carries 48 kB in a message
+PROCESSORS = 4  # that a program sees; with one, executors of ROS 2 have one thread and handle no cancel in time
 MOST_QUEUED = 1 << 20  # bytes that wait for a round; what comes then is lost, as in a full network card
 _ADDRESSES = struct.Struct("<16sH16sH")
 _LOOPBACK = V4 + b"\x7f\0\0\x01"
@@ -52,7 +53,7 @@ class ProcessAgent:
         env: Mapping[str, Any] | None = None,
         files: Sequence[str] = (),
         epoch: str = "",
-        processors: int = 1,
+        processors: int = PROCESSORS,
         **_: Any,
     ) -> None:
         """Prepare the program; it is started with the agent's first tick.

@@ -36,13 +36,6 @@ CONFIG = """
     def until(s): time.sleep(max(0, begin + s - time.monotonic()))
     session = opened()
 """
-# Real programs do not begin at the same time.
-MEET = """
-    met = session.declare_subscriber("met/**", lambda s: None)
-    here = session.liveliness().declare_token(f"met/{me}")
-    while not [*session.liveliness().get(f"met/{3 - me}", timeout=1.0)]: time.sleep(0.01)
-    begin = time.monotonic()
-"""
 # Two of them talk. What is said at the same moment is sorted, since a network may turn it round.
 STORY = """
     token = session.liveliness().declare_token(f"alive/{me}")
@@ -59,8 +52,12 @@ STORY = """
         else:
             for n in range(2): q.reply(f"what/{me}/{n}", f"{me} says {n} to {q.parameters}")
     queryable = session.declare_queryable("what/**", asked)
-    until(1.0)
+    # Real programs do not begin at the same time: each waits until the other has declared all this.
+    here = session.liveliness().declare_token(f"met/{me}")
+    while not [*session.liveliness().get(f"met/{3 - me}", timeout=1.0)]: time.sleep(0.01)
+    begin = time.monotonic()
     publisher = session.declare_publisher(f"demo/{me}/fifo", encoding=zenoh.Encoding.TEXT_PLAIN)
+    until(1.0)
     publisher.put("hello", attachment=b"more")
     publisher.put(b"x" * 100_000)
     for n in range(3): session.put(f"demo/{me}/ring", str(n))
@@ -133,7 +130,7 @@ def zenoh_run(tmp_path: Path, text: str, vehicles: int = 2, **changes: str) -> R
 
 
 def test_programs_see_at_their_endpoint_what_they_see_at_a_router(router: str, tmp_path: Path) -> None:
-    result = zenoh_run(tmp_path, dedent(MEET) + dedent(STORY))
+    result = zenoh_run(tmp_path, STORY)
     assert result.status is Status.PASS, [lines(result, agent) for agent in (1, 2)]
     command = [sys.executable, "program.py", router]
     both = [subprocess.Popen([*command, str(me)], stdout=subprocess.PIPE, text=True) for me in (1, 2)]

@@ -16,7 +16,8 @@ from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.process_agent import PROCESSORS, ProcessAgent, epoch_ns, own_python
 from world.errors import PluginError
 
-_PARAMETERS = ("interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup")
+_PARAMETERS = ("interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup",
+               "vehicle")  # fmt: skip
 # Of 1.0, where Python ran on stand-ins. Those with a value here need nothing any more.
 _OF_BEFORE = {"process": (True, "yes"), "order": ("ready",), "shared": None}
 _GONE = {
@@ -24,6 +25,7 @@ _GONE = {
     "cost": "computing takes no time; a program that takes time sleeps",
     "process": "a program always is a process of its own",
 }
+_ROS_VEHICLE = Path(__file__).with_name("ros_vehicle.py")
 MOST_PROCESSORS = 64  # that a process sees
 
 
@@ -65,6 +67,12 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     processors = parameters.get("processors", PROCESSORS)
     if not isinstance(processors, int) or not 1 <= processors <= MOST_PROCESSORS:
         raise _wrong(path, f"processors: expected 1 to {MOST_PROCESSORS}, got {processors!r}")
+    vehicle = parameters.get("vehicle", "")
+    if vehicle not in ("", "ros2"):
+        raise _wrong(
+            path, f"vehicle: expected ros2, got {vehicle!r}", "others need no key: the guide says what they hear"
+        )
+    node = (*setup, (interpreter if setup else found) or own_python(), str(_ROS_VEHICLE)) if vehicle else ()
     try:
         compiled()
     except NoLibraryError as error:
@@ -73,6 +81,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     class Program(ProcessAgent):
         plugin_file = path
         command = (*setup, *((interpreter if setup else found, str(path)) if found else (str(path),)))
+        beside = node
         reads = lines
         signals = tuple(Signal(each.name, "1", "as the program printed it last") for each in lines)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from fleet.addons.programs.known_ports import NAVIGATION_PORT
 from fleet.addons.programs.packets import V4
 
 FIRST_FREE, LAST = 49152, 65535  # RFC 6335: the ports that nobody is registered for
@@ -40,10 +41,17 @@ class Ports:
         self._next = {0: FIRST_FREE, _STREAM: FIRST_FREE}
 
     def book(self, process: int, data: bytes) -> bytes:
-        """A socket is bound. The port as a message; 0: another process has it, or none is free."""
+        """A socket is bound. The port as a message; 0: another process has it, or none is free.
+
+        Several processes may hear where the vehicle is.
+        """
         socket, flags, v6, ip, port = _BOOKING.unpack(data)
         wanted = _Port(flags, bool(v6), ip, port or self._free(flags & _STREAM))
-        if port and any(own != process and each.excludes(wanted) for (own, _), each in self._of.items()):
+        if (
+            port
+            and port != NAVIGATION_PORT
+            and any(own != process and each.excludes(wanted) for (own, _), each in self._of.items())
+        ):
             return _NUMBER.pack(0)
         self._of[process, socket] = wanted
         return _NUMBER.pack(wanted.port)

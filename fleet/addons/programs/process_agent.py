@@ -41,6 +41,7 @@ class ProcessAgent:
 
     plugin_file: ClassVar[Path]
     command: ClassVar[tuple[str, ...]]
+    beside: ClassVar[tuple[str, ...]]  # a program of ours that gets the agent's number; (): none
     reads: ClassVar[tuple[LineSignal, ...]]
     signals: ClassVar[tuple[Signal, ...]]
 
@@ -124,6 +125,7 @@ class ProcessAgent:
                 self._config, self._words, self._environment, self._files, self._book, now_ns, self._epoch_ns,
                 self._disk,
                 self._disk_before,
+                self.beside,
                 self._processors,
             )  # fmt: skip
         life = self._life
@@ -196,9 +198,11 @@ class _Life:
         epoch: int,
         disk: Path | None,
         disk_before: Path | None,
+        beside: Sequence[str],
         processors: int,
     ) -> None:
         self._id, self._book = config.id, book
+        self._beside, self._environment = beside, environment
         self._out: deque[bytes] = deque()
         self._queued, self._dropped, self._number = 0, 0, 0
         self._fragments = Fragments()
@@ -238,6 +242,8 @@ class _Life:
             if not self._begun:
                 self._begun = True
                 processes.begin()
+                if self._beside:
+                    processes.begin_helper([*self._beside, str(self._id)], self._environment)
             processes.advance(now_ns, before_last=lambda: said.extend(self._lines()))
             streams.processes = processes.count
             streams.tick(now_ns)
@@ -323,10 +329,11 @@ class _Life:
         _, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)
         agent = self._book.agent(to_ip, to_port)
         here = is_own(to_ip, self._id)
-        if here and to_port in (COMMAND_PORT, READY_PORT):
-            self._ready = self._ready or to_port == READY_PORT
+        if here and (to_port == READY_PORT or (to_port == COMMAND_PORT and not self._config.moored)):
             self.processes.answer(process, b"U\x01")
-            if to_port == COMMAND_PORT:
+            if to_port == READY_PORT:
+                self._ready = True
+            else:
                 self.vehicle.command(data[_ADDRESSES.size :])
             return
         if here:
@@ -356,8 +363,10 @@ class _Life:
 
     def _datagram(self, port: int, data: bytes, but: int = 0) -> None:
         """Hand a datagram to the processes that may listen on a port."""
-        family = None if self._helper is None else self._helper if port == WATER_PORT else 0
-        self.processes.send(68, data, but=but, family=family)
+        if port == WATER_PORT and self._helper is not None:
+            self.processes.send(68, data, but=but, family=self._helper)
+        else:
+            self.processes.send(68, data, but=but, outside=self._helper)
 
 
 def is_own(ip: bytes, agent: int) -> bool:

@@ -13,7 +13,6 @@ import socket
 import struct
 import subprocess
 import sys
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -132,7 +131,7 @@ class Processes:
         self._home = Home(files, agent, agents, epoch_ns, processors, disk, disk_before)
         self.home = self._home.path
         self._processes: dict[int, Process] = {}
-        self._ports: defaultdict[int, Ports] = defaultdict(Ports)  # by family: what helpers have hinders nobody
+        self._ports = Ports()
         self._next_pid = 1000 + agent
         self._looked = monotonic()
         self._full = 0  # moments with too many turns, one after the other
@@ -149,7 +148,7 @@ class Processes:
         if self.status == 0 and not self._first.executions:
             raise ProgramEnded("the library was not loaded into it: it ran outside of simulated time")
 
-    def begin_helper(self, command: Sequence[str]) -> int:
+    def begin_helper(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> int:
         """Start a program of ours beside it, with the same addresses, and let it run until it waits.
 
         It is no part of the program: it has none of its signals, and ends with it. What it prints goes to the program's
@@ -163,7 +162,7 @@ class Processes:
         """
         err = self._texts[1].file
         self._visible += [each for each in _visible(command) if each not in self._visible]
-        process = self._start(command, {}, err, err)
+        process = self._start(command, environment or {}, err, err)
         self._read_turn(process)
         return process.family
 
@@ -228,7 +227,16 @@ class Processes:
                 before_last()
         self._moment(until_ns)
 
-    def send(self, kind: int, data: bytes, *, to: int = 0, but: int = 0, family: int | None = None) -> None:
+    def send(
+        self,
+        kind: int,
+        data: bytes,
+        *,
+        to: int = 0,
+        but: int = 0,
+        family: int | None = None,
+        outside: int | None = None,
+    ) -> None:
         """Hand a message to processes with their next turn, in this moment.
 
         Args:
@@ -237,6 +245,7 @@ class Processes:
             to: number of the only process that gets it; 0: all.
             but: number of one that does not get it.
             family: only processes of this family get it; None: of all.
+            outside: no process of this family gets it; None: of all.
         """
         message = _HEAD.pack(1 + len(data), kind) + data
         if to:
@@ -244,7 +253,7 @@ class Processes:
                 process.inbox += message
             return
         for process in self._processes.values():
-            if process.pid != but and family in (None, process.family):
+            if process.pid != but and family in (None, process.family) and process.family != outside:
                 process.inbox += message
 
     def _moment(self, now_ns: int) -> None:
@@ -327,15 +336,15 @@ class Processes:
         if kind == 72:  # H: the library is loaded
             process.began = True
             self._debug(process)
-            self._ports[process.family].ended(process.pid)
+            self._ports.ended(process.pid)
             self._answer(process, b"J" + self._configuration(process))
         elif kind == 71:  # G: a signal for another process
             which, number = struct.unpack("<qB", data)
             self._answer(process, b"U" + bytes((self._kill(process, which, number),)))
         elif kind == 66:  # B: it binds a socket
-            self._answer(process, b"U" + self._ports[process.family].book(process.pid, data))
+            self._answer(process, b"U" + self._ports.book(process.pid, data))
         elif kind == 67:  # C: it closes one
-            self._ports[process.family].leave(process.pid, data)
+            self._ports.leave(process.pid, data)
         elif kind == 89:  # Y: the kernel's number of a process that it has started
             number, real = struct.unpack("<II", data)
             if number in self._processes:
@@ -388,7 +397,7 @@ class Processes:
         process.alive = False
         process.channel.close()
         self._told(process, 0, b"")
-        self._ports[process.family].ended(process.pid)
+        self._ports.ended(process.pid)
         self._processes.pop(process.pid, None)
         if process is self._first:
             self.status = self._popens[0].wait()

@@ -19,11 +19,13 @@ _FORCES, _VELOCITIES = ("force", "pitch", "yaw"), ("surge", "pitch_rate", "yaw_r
 
 def navigation(nav: Nav, now_ns: int) -> bytes:
     """Where a vehicle is, as its program gets it: `t` [s], `position` [m, NED], `theta`, `psi` [rad], `velocity` [m/s,
-    body], `q`, `r` [rad/s].
+    body], `q`, `r` [rad/s]; with roll also `phi` [rad], `p` [rad/s].
     """
     (x, y, z, theta, psi), (u, v, w, q, r) = nav.eta, nav.nu
     values = {"t": now_ns / 1e9, "position": [x, y, z], "theta": theta, "psi": psi,
               "velocity": [u, v, w], "q": q, "r": r}  # fmt: skip
+    if nav.roll:
+        values["phi"], values["p"] = nav.roll
     return json.dumps(values).encode()
 
 

@@ -22,6 +22,8 @@ from fleet.addons.programs.known_ports import COMMAND_PORT, NAVIGATION_PORT, REA
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
+from fleet.addons.programs.shared_sockets import KINDS as SOCKET_KINDS
+from fleet.addons.programs.shared_sockets import SharedSockets
 from fleet.addons.programs.steering import Vehicle, navigation
 from fleet.addons.programs.streams import Streams
 from world.plugins.kept_files import kept_folder
@@ -214,6 +216,11 @@ class _Life:
         self.streams = Streams(
             config.id, lambda segment: self._put(segment.packed()), self._to_processes, self._unanswered
         )
+        self.shared = SharedSockets(
+            lambda number, kind, data: self.processes.send(kind, data, to=number),
+            self.streams.close,
+            self.streams.change_owner,
+        )
         self.processes = Processes(
             command, environment, files, agent=config.id, agents=book.largest, tick_ns=config.tick_ns, now_ns=now_ns,
             seed=Random(f"{config.seed}/{config.id}/{now_ns}").getrandbits(63), told=self._told, epoch_ns=epoch,
@@ -316,14 +323,20 @@ class _Life:
         self._queued += len(payload)
 
     def _to_processes(self, kind: int, data: bytes, to: int) -> None:
+        if to and self.shared.is_held(int.from_bytes(data[:8], "little")):
+            to = 0  # after a fork several processes have it
         self.processes.send(kind, data, to=to)
 
     def _told(self, process: Process, kind: int, data: bytes) -> None:
         if kind == 83:  # S: a datagram
             self._send(process, data)
+        elif kind in SOCKET_KINDS:
+            self.shared.told(process.pid, kind, data)
         elif kind != 76:  # L: one was lost, because its socket was full
+            if kind == 0:
+                self.shared.ended(process)
             self.streams.processes = self.processes.count
-            self.streams.told(process.pid, kind, data, self._book.agent)
+            self.streams.told(process.pid, kind, data, self._book.agent, self.shared.is_held)
 
     def _send(self, process: Process, data: bytes) -> None:
         _, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)

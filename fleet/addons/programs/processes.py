@@ -72,7 +72,9 @@ class Process:
     began: bool = False  # an executable, in this turn
 
 
-Told = Callable[[Process, int, bytes], None]  # what a process tells: the message's kind and its bytes; 0: it has ended
+Told = Callable[
+    [Process, int, bytes], None
+]  # what a process tells: the message's kind and its bytes; 0: it has no sockets
 
 
 class Processes:
@@ -337,6 +339,8 @@ class Processes:
             process.began = True
             self._debug(process)
             self._ports.ended(process.pid)
+            if process.executions:
+                self._told(process, 0, b"")  # its sockets are not known to what it executes
             self._answer(process, b"J" + self._configuration(process))
         elif kind == 71:  # G: a signal for another process
             which, number = struct.unpack("<qB", data)

@@ -85,7 +85,14 @@ class Streams:
 
     # What the program's library tells.
 
-    def told(self, process: int, kind: int, data: bytes, agent_of: Callable[[bytes, int], int | None]) -> None:
+    def told(
+        self,
+        process: int,
+        kind: int,
+        data: bytes,
+        agent_of: Callable[[bytes, int], int | None],
+        is_held: Callable[[int], bool] = lambda _: False,
+    ) -> None:
         """Take a message of a process.
 
         Args:
@@ -93,10 +100,12 @@ class Streams:
             kind: of the message; 0: the process has ended.
             data: its bytes.
             agent_of: the agent at an address and port; None: nobody.
+            is_held: whether other processes have a connection, too.
         """
         if kind == 0:
             for own in [each for each in self._ends.values() if each.owner == process and not each.closed]:
-                self._close(own, unread=False)
+                if not is_held(own.connection):
+                    self._close(own, unread=False)
             return
         connection = int.from_bytes(data[:8], "little")
         if kind == 65:  # A: connect
@@ -116,6 +125,16 @@ class Streams:
             self._waits(end, int.from_bytes(data[8:12], "little"))
         elif kind == 75:  # K: closed
             self._close(end, unread=bool(data[8]))
+
+    def close(self, connection: int, unread: bool) -> None:
+        """Close a connection that no process has any more."""
+        if end := self._ends.get(connection):
+            self._close(end, unread)
+
+    def change_owner(self, connection: int, process: int) -> None:
+        """Another process's end closes a connection from now on."""
+        if end := self._ends.get(connection):
+            end.owner = process
 
     def _connect(self, process: int, data: bytes, agent_of: Callable[[bytes, int], int | None]) -> None:
         connection, _, from_port, to_ip, to_port = _CALL.unpack(data)

@@ -107,6 +107,54 @@ def test_a_pipe_with_a_name_waits_for_its_other_end(real: Callable[..., Result])
     assert lines(result)[0] == "['hello', 'again']"
 
 
+FORKS = """
+    import hashlib, os, signal, socket, socketserver, threading, time
+    data = b"".join(hashlib.sha256(b"%d" % k).digest() for k in range(30000))
+    def rest(s): return b"".join(iter(lambda: s.recv(65536), b""))
+    # A server that forks for each client, another one for datagrams, and one that has forked before.
+    class Stream(socketserver.StreamRequestHandler):
+        def handle(self): self.wfile.write(self.rfile.readline().upper())
+    class Datagram(socketserver.BaseRequestHandler):
+        def handle(self): self.request[1].sendto(self.request[0].upper(), self.client_address)
+    one = socketserver.ForkingTCPServer(("127.0.0.1", 7000), Stream)
+    two = socketserver.ForkingUDPServer(("127.0.0.1", 7000), Datagram)
+    for each in (one, two): threading.Thread(target=each.serve_forever, daemon=True).start()
+    for _ in range(2):
+        with socket.create_connection(("127.0.0.1", 7000)) as s: s.sendall(b"line\\n"); print(rest(s))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+            s.sendto(b"packet", ("127.0.0.1", 7000)); print(s.recv(100))
+    for each in (one, two): each.shutdown(); each.server_close()
+    server = socket.create_server(("127.0.0.1", 7001))
+    for k in range(2):
+        if os.fork() == 0:
+            with server.accept()[0] as s: s.sendall(s.recv(9) + b" by a child")
+            os._exit(0)
+    time.sleep(0.1)
+    for _ in range(2):
+        with socket.create_connection(("127.0.0.1", 7001)) as s: s.sendall(b"served"); print(rest(s))
+    # A daemon: who has opened the sockets ends, and with that who put into them what came.
+    packets = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); packets.bind(("127.0.0.1", 7002))
+    if os.fork() == 0:
+        time.sleep(0.1)
+        s = socket.create_connection(("127.0.0.1", 7001)); s.sendall(data); s.shutdown(socket.SHUT_WR); print(rest(s))
+        packets.sendto(b"the last", ("127.0.0.1", 7002))
+        os._exit(0)
+    stream, _ = server.accept()
+    first = stream.recv(1000)
+    time.sleep(0.1)
+    if os.fork(): os._exit(0)
+    print(first + rest(stream) == data, flush=True); stream.sendall(b"thanks"); stream.close(); print(packets.recv(100))
+"""
+
+
+def test_sockets_outlive_those_who_have_opened_them(real: Callable[..., Result]) -> None:
+    result = real(FORKS)
+    assert result.status is Status.PASS, lines(result)
+    said = 2 * ["b'LINE\\n'", "b'PACKET'"] + 2 * ["b'served by a child'"]
+    assert lines(result) == [*said, "True", "b'thanks'", "b'the last'", "end: exit status 0"]
+    assert real(FORKS).digest == result.digest
+
+
 def test_processes_that_wake_each_other_often_take_time(
     real: Callable[..., Result], monkeypatch: pytest.MonkeyPatch
 ) -> None:

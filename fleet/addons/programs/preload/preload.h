@@ -170,6 +170,8 @@ struct sock {
   struct { int level, option, value; } options[24]; /* those that have no effect here: a program may look whether they were set */
   int listener, own_end; /* of a call that nobody has taken yet: where it waits (a number from 1), the program's end */
   u64 connection;
+  u64 id;    /* of the process that has made it, and its place there */
+  u8 shared; /* another process has it, too: the controller knows who. `borrowed`: another one writes what arrives */
   u8 *waiting; /* what came and does not fit into the pair yet */
   size_t n_waiting, room;
   size_t unsent, most_unsent; /* bytes that the controller holds and has not sent */
@@ -181,7 +183,11 @@ long socket_call(long number, const long a[6]);
 long send_message(int descriptor, const struct msghdr *message, int flags);
 long receive_message(int descriptor, struct msghdr *message, int flags);
 void release_sock(struct sock *sock);
-void borrow_socks(void); /* in a child: packets go to the parent */
+void share_socks(u32 child); /* in a parent, before there is the child */
+void borrow_socks(void);     /* in a child: what arrives is written by the parent */
+extern int any_shared;
+int is_about_shared(struct message message);
+void pour_shared(void); /* somebody may have read from a socket that several processes have */
 void deliver(struct message message);
 int own_pair(int type, int flags, int *peer);
 void deliver_stream(struct message message);

@@ -98,6 +98,7 @@ static long fork_process(u64 flags, long stack, int *parent_tid, int *child_tid,
     close_all(pair, borrowed);
     return -EAGAIN;
   }
+  share_socks(next.pid);
   flush();
   u64 kept = (flags & (CLONE_SETTLS | CLONE_CHILD_SETTID | CLONE_CHILD_CLEARTID | CLONE_FS)) & ~(u64)(CLONE_CHILD_SETTID | CLONE_CHILD_CLEARTID | CLONE_FS);
   long real = SYS(SYS_clone, kept | SIGCHLD, 0, 0, 0, tls);
@@ -135,7 +136,7 @@ static long fork_process(u64 flags, long stack, int *parent_tid, int *child_tid,
   borrow_socks();
   SYS(SYS_prctl, PR_SET_PDEATHSIG, 0);
   if (flags & CLONE_CHILD_SETTID) *child_tid = next.pid;
-  while (hear().kind != 'T') {} /* its first turn */
+  for (struct message m; (m = hear()).kind != 'T';) deliver(m); /* until its first turn */
   return 0;
 }
 

@@ -130,6 +130,7 @@ static struct thread *taker(int signal) {
 static void die_of(int signal) {
   struct action plain = {0, 0x04000000, (void *)own_return, 0};
   SYS(SYS_rt_sigaction, signal, &plain, 0, 8);
+  close_streams();
   flush();
   SYS(SYS_kill, real_pid(), signal);
   u64 all = 0;
@@ -181,6 +182,7 @@ int raise_with(int signal, struct thread *directed, const siginfo_t *information
     return 0;
   }
   if (signal == SIGKILL || (is_kernels(signal) && (long)a->handler != 1)) {
+    if (!a->handler) close_streams();
     flush();
     if (directed == me && me) SYS(SYS_tgkill, real_pid(), raw(SYS_gettid, 0, 0, 0, 0, 0, 0), signal);
     else SYS(SYS_kill, real_pid(), signal);

@@ -126,23 +126,10 @@ static long open_socket(int domain, int type, int protocol) {
   s->used = s->references = 1;
   s->type = kind, s->v6 = domain == AF_INET6, s->ttl = 1;
   s->receive_timeout = s->send_timeout = NEVER;
+  s->id = (u64)config.pid << 16 | (s - socks);
   new_descriptor(fd, kind == SOCK_DGRAM ? DATAGRAMS : STREAM);
   descriptors[fd].sock = s;
   return fd;
-}
-
-void release_sock(struct sock *s) {
-  if (s->type == SOCK_STREAM) {
-    stream_close(s);
-    return;
-  }
-  leave_port(s);
-  SYS(SYS_close, s->peer);
-  s->used = 0;
-}
-
-void borrow_socks(void) {
-  for (int k = 0; k < SOCKETS; k++) socks[k].borrowed = 1;
 }
 
 static int taken(int type, u16 port, const struct sock *but, const u8 *ip) {
@@ -282,6 +269,7 @@ static int put_datagram(const struct address *from, const struct address *to, co
 
 void deliver(struct message m) {
   struct { struct address from, to; } __attribute__((packed)) head;
+  did_something |= any_shared && m.kind != 'Q'; /* another process may wait for what is written here */
   switch (m.kind) {
     case 'D':
       memcpy(&head, m.data, sizeof head);
@@ -301,7 +289,8 @@ void deliver(struct message m) {
       gdb_waits = 0;
       SYS(SYS_kill, real_pid(), SIGABRT);
       return;
-    default: deliver_stream(m);
+    default:
+      if (!is_about_shared(m)) deliver_stream(m);
   }
 }
 

@@ -11,7 +11,7 @@
 enum { MOST_UNSENT = 1 << 18, PART = 1 << 15 };
 static u64 connections;
 struct call { u64 connection; struct address from, to; } __attribute__((packed));
-struct queued { struct call call; u16 sock; } __attribute__((packed)); /* a call that nobody has taken yet */
+struct queued { struct call call; u16 sock; u64 id; } __attribute__((packed)); /* a call that nobody has taken yet */
 
 /* Memory of our own: malloc may be what was interrupted. */
 static u8 *more_room(u8 *old, size_t had, size_t wanted) {
@@ -133,18 +133,68 @@ long stream_connect(int fd, struct sock *s) {
   return -error;
 }
 
+/* A call in the queue has both ends of its pair with it, since any process that has the socket may take it. */
+union ends { struct cmsghdr header; char space[CMSG_SPACE(2 * sizeof(int))]; };
+
+static long send_call(int to, const struct queued *queued, const int ends[2]) {
+  struct iovec part = {(void *)queued, sizeof *queued};
+  union ends control = {.header = {.cmsg_len = CMSG_LEN(2 * sizeof(int)), .cmsg_level = SOL_SOCKET, .cmsg_type = SCM_RIGHTS}};
+  memcpy(CMSG_DATA(&control.header), ends, 2 * sizeof *ends);
+  struct msghdr m = {.msg_iov = &part, .msg_iovlen = 1, .msg_control = &control, .msg_controllen = sizeof control};
+  return SYS(SYS_sendmsg, to, &m, MSG_DONTWAIT | MSG_NOSIGNAL);
+}
+
+static long receive_call(int from, struct queued *queued, int ends[2]) {
+  struct iovec part = {queued, sizeof *queued};
+  union ends control;
+  struct msghdr m = {.msg_iov = &part, .msg_iovlen = 1, .msg_control = &control, .msg_controllen = sizeof control};
+  long r = SYS(SYS_recvmsg, from, &m, MSG_DONTWAIT);
+  if (r < 0) return r;
+  if (m.msg_controllen < CMSG_LEN(2 * sizeof(int))) return -EMFILE;
+  memcpy(ends, CMSG_DATA(&control.header), 2 * sizeof *ends);
+  return r;
+}
+
+static void connect_call(struct sock *n, const struct sock *listener, const struct call *call, u64 id) {
+  memset(n, 0, sizeof *n);
+  n->used = 1, n->type = SOCK_STREAM, n->v6 = listener->v6;
+  n->bound = n->connected = 1, n->own = call->to, n->to = call->from, n->connection = call->connection;
+  n->receive_timeout = n->send_timeout = NEVER;
+  n->id = id;
+}
+
+static struct sock *take_call(const struct sock *listener, const struct queued *queued, int peer) {
+  struct sock *n = socks;
+  while (n < socks + SOCKETS && n->used) n++;
+  int own = n == socks + SOCKETS ? -EMFILE : own_descriptor(peer);
+  SYS(SYS_close, peer);
+  if (own < 0) return 0;
+  connect_call(n, listener, &queued->call, queued->id);
+  n->peer = own, n->shared = n->borrowed = 1;
+  struct { u64 id, connection; } head = {n->id, n->connection};
+  tell('a', &head, sizeof head, 0, 0);
+  did_something = 1;
+  return n;
+}
+
 long stream_accept(int fd, struct sock *s, struct sockaddr *to, socklen_t *size, int flags) {
   if (!s->listening) return -EINVAL;
   int error = wait_ready(fd, POLLIN, 0, s->receive_timeout);
   if (error) return error;
   struct queued queued;
-  long r = SYS(SYS_recvfrom, fd, &queued, sizeof queued, MSG_DONTWAIT, 0, 0);
+  int ends[2] = {-1, -1}; /* the program's, and ours */
+  long r = receive_call(fd, &queued, ends);
   if (r < 0) return r;
   struct sock *n = &socks[queued.sock];
-  long made = SYS(SYS_fcntl, n->own_end, flags & SOCK_CLOEXEC ? F_DUPFD_CLOEXEC : F_DUPFD, 0);
-  if (made < 0) return made;
+  if (queued.id >> 16 != config.pid) n = take_call(s, &queued, ends[1]); /* another process has answered it */
+  else SYS(SYS_close, ends[1]), SYS(SYS_close, n->own_end);
+  if (!n) {
+    SYS(SYS_close, ends[0]);
+    return -EMFILE;
+  }
+  long made = ends[0];
+  if (flags & SOCK_CLOEXEC) SYS(SYS_fcntl, made, F_SETFD, FD_CLOEXEC);
   if (flags & SOCK_NONBLOCK) SYS(SYS_fcntl, made, F_SETFL, O_NONBLOCK);
-  SYS(SYS_close, n->own_end);
   n->listener = 0, n->references = 1;
   new_descriptor(made, STREAM);
   descriptors[made].sock = n;
@@ -157,16 +207,14 @@ static int queue_call(struct sock *s, const struct call *call) {
   struct sock *n = socks;
   while (n < socks + SOCKETS && n->used) n++;
   if (n == socks + SOCKETS) return 0;
-  memset(n, 0, sizeof *n);
-  int end = own_pair(SOCK_STREAM, SOCK_CLOEXEC, &n->peer);
+  int peer, end = own_pair(SOCK_STREAM, 0, &peer);
   if (end < 0) return 0;
+  connect_call(n, s, call, (u64)config.pid << 16 | (n - socks));
+  n->peer = peer, n->listener = s - socks + 1;
   n->own_end = own_descriptor(end);
   SYS(SYS_close, end);
-  n->used = 1, n->type = SOCK_STREAM, n->v6 = s->v6, n->listener = s - socks + 1;
-  n->bound = n->connected = 1, n->own = call->to, n->to = call->from, n->connection = call->connection;
-  n->receive_timeout = n->send_timeout = NEVER;
-  struct queued queued = {*call, n - socks};
-  if (SYS(SYS_sendto, s->peer, &queued, sizeof queued, MSG_DONTWAIT, 0, 0) > 0) return 1;
+  struct queued queued = {*call, n - socks, n->id};
+  if (send_call(s->peer, &queued, (int[2]){n->own_end, n->peer}) > 0) return 1;
   SYS(SYS_close, n->own_end);
   SYS(SYS_close, n->peer);
   n->used = 0;
@@ -175,7 +223,7 @@ static int queue_call(struct sock *s, const struct call *call) {
 
 static struct sock *by_connection(u64 connection) {
   for (struct sock *s = socks; s < socks + SOCKETS; s++)
-    if (s->used && !s->borrowed && s->type == SOCK_STREAM && s->connection == connection) return s;
+    if (s->used && s->type == SOCK_STREAM && s->connection == connection) return s;
   return 0;
 }
 
@@ -217,7 +265,7 @@ void deliver_stream(struct message m) {
       break;
     }
     case 'R':
-      if (s->got_end) return;
+      if (s->got_end || s->borrowed) return;
       if (s->n_waiting + m.size - 8 > s->room) {
         size_t room = (s->n_waiting + m.size - 8 + 65535) & ~65535UL;
         s->waiting = more_room(s->waiting, s->room, room);
@@ -232,6 +280,7 @@ void deliver_stream(struct message m) {
       }
       break;
     case 'Z':
+      if (s->borrowed) break;
       if (!s->got_end) s->got_end = 1;
       pour(s);
       break;
@@ -294,9 +343,13 @@ long stream_shutdown(struct sock *s, int how) {
 }
 
 void close_streams(void) {
-  for (struct sock *s = socks; s < socks + SOCKETS; s++)
-    if (s->used && s->type == SOCK_STREAM && s->connection && !s->borrowed) {
-      struct { u64 connection; u8 unread; } __attribute__((packed)) head = {s->connection, s->n_waiting > 0 || s->resets};
-      tell('K', &head, sizeof head, 0, 0);
-    }
+  for (struct sock *s = socks; s < socks + SOCKETS; s++) {
+    if (!s->used) continue;
+    struct { u64 id, connection; } shared = {s->id, s->connection};
+    struct { u64 connection; u8 unread; } __attribute__((packed)) head = {s->connection, s->n_waiting > 0 || s->resets};
+    if (s->shared) {
+      for (size_t at = 0; !s->borrowed && at < s->n_waiting; at += PART)
+        tell('x', &shared, sizeof shared, s->waiting + at, s->n_waiting - at < PART ? s->n_waiting - at : PART);
+    } else if (s->type == SOCK_STREAM && s->connection && !s->borrowed) tell('K', &head, sizeof head, 0, 0);
+  }
 }

@@ -82,6 +82,7 @@ static void idle(void) {
   did_something = 0;
   for (struct message m; (m = hear()).kind != 'T' || (memcpy(&now, m.data, 8), 0);) deliver(m);
   looks = 0;
+  pour_shared();
   fire_timers();
   shared_changed();
   for (;;) {

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import select
 import shutil
 import signal
 import socket
@@ -405,6 +406,8 @@ class Processes:
         self._processes.pop(process.pid, None)
         if process is self._first:
             self.status = self._popens[0].wait()
+        elif process.real:
+            _wait_for_end(process.real)
         self.send(ord("C"), process.pid.to_bytes(4, "little"), family=process.family)
 
     def _look_after(self, process: Process, begun: tuple[float, float] | None) -> tuple[float, float]:
@@ -600,6 +603,18 @@ def _group(leader: int) -> list[int]:
                 if os.getpgid(int(name)) == leader:
                     found.append(int(name))
     return found
+
+
+def _wait_for_end(pid: int) -> None:
+    """Wait until a process that ends has ended: the kernel may close its channel before its pipes."""
+    with suppress(OSError):
+        descriptor = os.pidfd_open(pid)
+        try:
+            ends = select.poll()
+            ends.register(descriptor, select.POLLIN)
+            ends.poll(1000)
+        finally:
+            os.close(descriptor)
 
 
 def _kb(pid: int, file: str, keys: tuple[str, ...]) -> int:

@@ -172,6 +172,17 @@ def test_processes_that_wake_each_other_often_take_time(
     assert "wake each other without an end" in lines(real(text.replace("COUNT", "10**9")))[-1]
 
 
+def test_a_pipe_of_a_grandchild_that_ends_has_its_end(real: Callable[..., Result]) -> None:
+    result = real("""
+        import subprocess
+        for _ in range(30):
+            made = subprocess.Popen(["sh", "-c", "sh -c 'sleep 0.01; echo last' & exit 3"], stdout=-1)
+            assert made.wait() == 3 and made.stdout.read() == b"last\\n"
+        print("read")
+    """)
+    assert lines(result) == ["read", "end: exit status 0"]
+
+
 def test_memory_has_a_limit(real: Callable[..., Result], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "MEMORY_MB", 100)
     result = real("kept = []\nwhile True: kept.append(bytes([1]) * 1_000_000)", vehicles=1)

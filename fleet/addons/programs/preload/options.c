@@ -65,6 +65,7 @@ long set_option(int fd, struct sock *s, int level, int option, const void *value
       case IP_MULTICAST_TTL: s->ttl = v; return 0;
       case IP_PKTINFO: s->information = (s->information & ~1) | (v ? 1 : 0); return 0;
       case IP_RECVTTL: s->information = (s->information & ~4) | (v ? 4 : 0); return 0;
+      case IP_RECVTOS: s->information = (s->information & ~32) | (v ? 32 : 0); return 0;
       case 42: /* MCAST_JOIN_GROUP */
       case 45: { /* MCAST_LEAVE_GROUP */
         const struct group_req *r = value;
@@ -81,6 +82,7 @@ long set_option(int fd, struct sock *s, int level, int option, const void *value
       case IPV6_V6ONLY: s->v6_only = v != 0; return 0;
       case IPV6_RECVPKTINFO: s->information = (s->information & ~2) | (v ? 2 : 0); return 0;
       case IPV6_RECVHOPLIMIT: s->information = (s->information & ~8) | (v ? 8 : 0); return 0;
+      case IPV6_RECVTCLASS: s->information = (s->information & ~16) | (v ? 16 : 0); return 0;
       case 42:
       case 45: {
         const struct group_req *r = value;

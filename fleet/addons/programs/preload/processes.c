@@ -19,7 +19,7 @@ struct child { u32 number; int real, gone; };
 static struct child children[1024];
 enum { CHILDREN = 1024 };
 extern char **environ;
-static int niceness; /* it is kept, and changes nothing */
+static int niceness, leads_session; /* they are kept, and change nothing */
 
 static struct child *by_number(u32 number) {
   for (int k = 0; k < CHILDREN; k++)
@@ -130,6 +130,7 @@ static long fork_process(u64 flags, long stack, int *parent_tid, int *child_tid,
   config = next, now = next.now;
   seed_chance(next.seed);
   memset(children, 0, sizeof children);
+  leads_session = 0;
   forget_channel();
   forget_threads();
   forget_timers();
@@ -205,6 +206,11 @@ static long execute(const char *path, char *const *arguments, char *const *given
   const char *real = real_path(path, buffer);
   long error = executable(real);
   if (error) return error;
+  for (int fd = 0; fd < 3; fd++)
+    if (sock_of(fd)) { /* the new program's library would not know what it is */
+      say("%s is given a socket of the network as its descriptor %d, which is refused in simulated time", path, fd);
+      return -EPERM;
+    }
   size_t n = 0;
   for (; given && given[n] && n < LENGTH(all) - 4; n++) all[n] = given[n];
   int has_preload = 0, has_channel = 0;
@@ -316,7 +322,7 @@ long process_call(ucontext_t *context, long number, const long a[6]) {
     case SYS_getpgid:
     case SYS_getsid: return config.pid;
     case SYS_setpgid: return 0;
-    case SYS_setsid: return config.pid;
+    case SYS_setsid: return leads_session++ ? (leads_session = 1, -EPERM) : config.pid;
     case SYS_set_robust_list: me->robust = a[0]; return a[1] == 24 ? 0 : -EINVAL;
     case SYS_set_tid_address: me->clear_tid = (void *)a[0]; return me->number;
     case SYS_sched_getaffinity: { /* as many processors as the scenario says, however many the machine has */

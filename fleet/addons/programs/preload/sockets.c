@@ -361,7 +361,7 @@ static void add_information(struct sock *s, struct msghdr *m, const struct head 
   struct timeval micro = {at.tv_sec, at.tv_nsec / 1000};
   if (s->stamps & 1) add_control(m, &used, SOL_SOCKET, SO_TIMESTAMP, &micro, sizeof micro);
   if (s->stamps & 2) add_control(m, &used, SOL_SOCKET, SO_TIMESTAMPNS, &at, sizeof at);
-  int index = is_loopback(head->to.ip) ? 1 : 2, hops = 64;
+  int index = is_loopback(head->to.ip) ? 1 : 2, hops = 64, none = 0; /* the class of traffic is not carried */
   if (s->information & 1) {
     struct in_pktinfo info = {.ipi_ifindex = index};
     memcpy(&info.ipi_addr, head->to.ip + 12, 4);
@@ -376,7 +376,9 @@ static void add_information(struct sock *s, struct msghdr *m, const struct head 
     add_control(m, &used, IPPROTO_IPV6, IPV6_PKTINFO, &info, sizeof info);
   }
   if (s->information & 4) add_control(m, &used, IPPROTO_IP, IP_TTL, &hops, sizeof hops);
+  if (s->information & 32) add_control(m, &used, IPPROTO_IP, IP_TOS, &none, 1);
   if (s->information & 8) add_control(m, &used, IPPROTO_IPV6, IPV6_HOPLIMIT, &hops, sizeof hops);
+  if (s->information & 16) add_control(m, &used, IPPROTO_IPV6, IPV6_TCLASS, &none, sizeof none);
   m->msg_controllen = used;
 }
 

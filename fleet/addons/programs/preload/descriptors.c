@@ -349,7 +349,7 @@ long descriptor_call(long number, const long a[6]) {
         ((long *)a[2])[0] = at / SECOND, ((long *)a[2])[1] = request == 0x8906 ? at % SECOND / 1000 : at % SECOND;
         return 0;
       }
-      if (request == FIOASYNC) return 0;
+      if (request == FIOASYNC || request == TIOCSCTTY || request == TIOCNOTTY) return 0; /* sessions are not the kernel's */
       if ((request & 0xff00) == 0x8900) return interface_ioctl(request, (void *)a[2]);
       return SYS(SYS_ioctl, a[0], a[1], a[2]);
     }

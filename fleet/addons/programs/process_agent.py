@@ -211,7 +211,8 @@ class _Life:
         self.over = self._begun = False
         self._config = config
         self._helper: int | None = None  # the family of the zenoh endpoint; None: nobody has asked for it
-        self._wanted = self._ready = False  # the endpoint, and whether it listens
+        self._wanted = any(_ENDPOINT in word for word in command)  # an endpoint; who names it is given it at once
+        self._ready = False  # whether it listens
         self.vehicle = Vehicle(config)
         self.streams = Streams(
             config.id, lambda segment: self._put(segment.packed()), self._to_processes, self._unanswered

@@ -31,6 +31,7 @@ CONFIG = """
         config.insert_json5("mode", '"client"')
         config.insert_json5("connect/endpoints", json.dumps([where]))
         config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("connect/timeout_ms", "30000")  # the host may be busy
         return zenoh.open(config)
     begin = time.monotonic()
     def until(s): time.sleep(max(0, begin + s - time.monotonic()))
@@ -92,7 +93,7 @@ STORY = """
         token.undeclare()
         other = opened()
         own = other.declare_subscriber("own/x")
-        until(5.8)
+        until(6.3)
         session.put("own/x", "from one session to another")
         print(own.recv().payload.to_string())
     until(7.0)
@@ -133,12 +134,18 @@ def test_programs_see_at_their_endpoint_what_they_see_at_a_router(router: str, t
     result = zenoh_run(tmp_path, STORY)
     assert result.status is Status.PASS, [lines(result, agent) for agent in (1, 2)]
     command = [sys.executable, "program.py", router]
-    both = [subprocess.Popen([*command, str(me)], stdout=subprocess.PIPE, text=True) for me in (1, 2)]
+    both = [
+        subprocess.Popen([*command, str(me)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        for me in (1, 2)
+    ]
     try:
-        said = [one.communicate(timeout=100)[0].splitlines() for one in both]
+        for one in both:
+            one.wait(100)
     finally:
         for one in both:
             one.kill()
+    assert both[0].stdout is not None and both[1].stdout is not None
+    said = [one.stdout.read().splitlines() for one in both if one.stdout is not None]
     assert [lines(result, me)[:-1] for me in (1, 2)] == said
     again = execute(load_scenario("own.yaml", ["duration=12 s"]), Options(tmp_path / "runs", quiet=True))
     assert again.digest == result.digest

@@ -257,6 +257,23 @@ def test_datagrams_go_where_they_are_sent(real: Callable[..., Result]) -> None:
     assert two[1:3] == ["60000", "10.0.0.1 ('10.0.0.1', 80)"]
 
 
+def test_a_shutdown_wakes_who_waits_at_a_socket_that_is_not_connected(real: Callable[..., Result]) -> None:
+    text = """
+        import socket, threading, time
+        s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        s.bind(("", 5000))
+        waiting = threading.Thread(target=lambda: print("woken with", s.recv(99), time.monotonic() - begin))
+        begin = time.monotonic()
+        waiting.start()
+        time.sleep(0.5)
+        try: s.shutdown(socket.SHUT_RDWR)
+        except OSError as error: print(error.strerror)
+        waiting.join()
+    """
+    told = "Transport endpoint is not connected", "woken with b'' 0.5", "end: exit status 0"
+    assert lines(real(text)) == [*told]
+
+
 def test_the_processes_of_an_agent_share_its_ports(real: Callable[..., Result]) -> None:
     text = """
         import os, socket, sys, time

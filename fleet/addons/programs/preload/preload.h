@@ -162,7 +162,7 @@ struct sock {
   int used, references, peer, type, v6, borrowed;
   struct address own, to;
   u8 bound, connected, connecting, listening, closing, sent_end, got_end, stopped, congested, resets, fresh; /* fresh: it stands, and no call has said so */
-  u8 broadcast, no_loop, ttl, reuse, information, stamps, v6_only, booked;
+  u8 broadcast, no_loop, ttl, reuse, information, stamps, v6_only, booked, deaf;
   int error;
   i64 receive_timeout, send_timeout, last_stamp;
   u8 groups[16][16];

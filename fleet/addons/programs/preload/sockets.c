@@ -442,8 +442,8 @@ long receive_message(int fd, struct msghdr *message, int flags) {
   memcpy(parts + 1, message->msg_iov, n * sizeof *parts);
   struct msghdr got = {.msg_iov = parts, .msg_iovlen = n + 1};
   long r = SYS(SYS_recvmsg, fd, &got, (flags & (MSG_PEEK | MSG_TRUNC)) | MSG_DONTWAIT);
-  if (r < 0) return r;
-  if (r == 0) return 0; /* shut down */
+  if (r == -EAGAIN && s->deaf) return flags & MSG_DONTWAIT || SYS(SYS_fcntl, fd, F_GETFL) & O_NONBLOCK ? r : 0; /* shut down */
+  if (r <= 0) return r;
   s->last_stamp = head.at + config.epoch;
   if (message->msg_name) put_address(message->msg_name, &message->msg_namelen, &head.from, s->v6);
   message->msg_flags = got.msg_flags & MSG_TRUNC;
@@ -512,11 +512,10 @@ long socket_call(long number, const long a[6]) {
     case SYS_getsockopt: return get_option(s, a[1], a[2], (void *)a[3], (void *)a[4]);
     case SYS_shutdown:
       if (s->type == SOCK_STREAM) return stream_shutdown(s, a[1]);
-      if (!s->connected) return -ENOTCONN;
       if (a[1] != SHUT_RD) s->stopped = 1;
-      if (a[1] != SHUT_WR) SYS(SYS_shutdown, s->peer, SHUT_WR);
+      if (a[1] != SHUT_WR) s->deaf = 1, SYS(SYS_shutdown, a[0], SHUT_RD);
       something();
-      return 0;
+      return s->connected ? 0 : -ENOTCONN; /* it wakes who waits, all the same: programs end their threads so */
     case SYS_sendto: {
       struct iovec one = {(void *)a[1], a[2]};
       struct msghdr m = {.msg_iov = &one, .msg_iovlen = 1, .msg_name = (void *)a[4], .msg_namelen = a[4] ? a[5] : 0};

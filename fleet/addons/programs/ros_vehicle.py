@@ -146,13 +146,16 @@ class Vehicle:
     def tell(self) -> None:
         """Publish what comes, until the end."""
         epoch_s = None
-        while rclpy.ok():
-            told = json.loads(self._socket.recv(65536))
-            if epoch_s is None:  # the time of a run begins at a whole second
-                epoch_s = round(self.node.get_clock().now().nanoseconds / NS - told["t"])
-            self._odometry.publish(odometry(told, self._number, epoch_s))
-            for each in self._commands:
-                each.look()
+        try:
+            while rclpy.ok():
+                told = json.loads(self._socket.recv(65536))
+                if epoch_s is None:  # the time of a run begins at a whole second
+                    epoch_s = round(self.node.get_clock().now().nanoseconds / NS - told["t"])
+                self._odometry.publish(odometry(told, self._number, epoch_s))
+                for each in self._commands:
+                    each.look()
+        finally:
+            rclpy.try_shutdown()  # so that the process ends if this thread fails
 
 
 def main() -> None:

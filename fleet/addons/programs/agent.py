@@ -51,6 +51,8 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     setup = _setup(path, parameters.get("setup"))
     python = "python3" if setup else own_python()
     interpreter = parameters.get("interpreter") or (python if path.suffix == ".py" else "")
+    if "/" in interpreter and (file := _beside(path, interpreter)):
+        interpreter = str(file)
     found = shutil.which(interpreter) if interpreter else None
     if interpreter and found is None:
         raise _wrong(path, f"interpreter: there is no command {interpreter!r}", "give its path, or install it")
@@ -92,13 +94,19 @@ def _setup(path: Path, name: Any) -> tuple[str, ...]:
     """The beginning of a command line that reads a file of a shell first, such as `setup.bash` of ROS 2; (): none."""
     if not name:
         return ()
-    given = Path(str(name)).expanduser()
-    file = next((each for folder in (path.parent, Path.cwd()) if (each := folder / given).is_file()), None)
+    file = _beside(path, str(name))
     if file is None:
         hint = "give a file of bash, beside the program or where you are, such as /opt/ros/jazzy/setup.bash"
-        raise _wrong(path, f"setup: there is no file {given}", hint)
+        raise _wrong(path, f"setup: there is no file {name}", hint)
     # In a function, so that the file does not see the program's arguments.
     return "/bin/bash", "-c", 'setup() { . "$0"; }; setup; exec "$@"', str(file.resolve())
+
+
+def _beside(path: Path, name: str) -> Path | None:
+    """A file beside the program, or where the user is. Its name stays: a link to a Python is another Python."""
+    given = Path(name).expanduser()
+    folders = path.parent.absolute(), Path.cwd()
+    return next((file for folder in folders if (file := folder / given).is_file()), None)
 
 
 def _wrong(path: Path, problem: str, hint: str = "") -> PluginError:

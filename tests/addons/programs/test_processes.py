@@ -370,6 +370,13 @@ def test_a_file_of_the_shell_is_read_first(real: Callable[..., Result], tmp_path
         real(text, setup="nothing.bash")
 
 
+def test_an_interpreter_may_lie_beside_the_program(real: Callable[..., Result], tmp_path: Path) -> None:
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "python").symlink_to(sys.executable)
+    text = "import sys; print(sys.orig_argv[0])"
+    assert lines(real(text, interpreter="own/python"))[0] == str(tmp_path / "own" / "python")
+
+
 def test_it_sees_as_many_processors_as_the_scenario_says(real: Callable[..., Result]) -> None:
     text = "import os; print(os.cpu_count(), len(os.sched_getaffinity(0)))"
     assert lines(real(text))[0] == "4 4"

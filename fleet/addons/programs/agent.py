@@ -74,7 +74,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         raise _wrong(
             path, f"vehicle: expected ros2, got {vehicle!r}", "others need no key: the guide says what they hear"
         )
-    node = (*setup, (interpreter if setup else found) or own_python(), str(_ROS_VEHICLE)) if vehicle else ()
+    node = (*setup, (interpreter if setup else found) or python, str(_ROS_VEHICLE)) if vehicle else ()
     try:
         compiled()
     except NoLibraryError as error:

@@ -40,6 +40,7 @@ _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _HAS_TERMINAL = 2  # of the configuration
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
 _HEAD = struct.Struct("<IB")
+_PART = 1 << 14  # bytes that are read at once: for more, each read would ask the system for memory
 _LOOK = struct.pack("ll", 0, round(LOOK_S * 1e6))  # a timeval
 _KEPT = ("PATH", "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE")  # of our environment; runs depend on the rest no more
 _OF_EVERYBODY = ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")
@@ -317,7 +318,7 @@ class Processes:
                     return
                 self._take(process, kind, data)
             try:
-                data, control, _, _ = process.channel.recvmsg(1 << 17, 64)
+                data, control, _, _ = process.channel.recvmsg(_PART, 64)
             except BlockingIOError:
                 begun = self._look_after(process, begun)
                 continue
@@ -543,6 +544,8 @@ class _Text:
         """The lines that are complete; `whole`: what is left, too."""
         if self.file < 0:
             return []
+        if not os.fstat(self.file).st_size and not (whole and self._rest):
+            return []  # as in most turns
         parts = [self._rest]
         while data := os.pread(self.file, 1 << 20, self._at):
             parts.append(data)

@@ -1,1 +1,1 @@
-"""Programs of others as agents in lockstep, unchanged: real processes in simulated time, or Python on stand-ins."""
+"""Programs of others as agents, unchanged: real processes in simulated time."""

@@ -5,9 +5,7 @@ The library that is preloaded into each (`preload`) tells over a channel what it
 
 from __future__ import annotations
 
-import fcntl
 import os
-import select
 import shutil
 import signal
 import socket
@@ -22,8 +20,10 @@ from time import monotonic
 
 from fleet.addons.programs.attachment import Attachment, start_gdb, take_terminal
 from fleet.addons.programs.home import Home
+from fleet.addons.programs.kernel import cpu_s, memory_kb, process_group, wait_for_end
 from fleet.addons.programs.library import compiled
 from fleet.addons.programs.ports import Ports
+from fleet.addons.programs.program_output import ProgramOutput
 from fleet.errors import FleetError
 
 NEVER = 2**63 - 1
@@ -35,7 +35,6 @@ CPU_S = 10.0  # of computing in one turn
 STUCK_S = 60.0  # of wall time in which a process neither answers nor computes
 MOST_TURNS = 20_000  # of one moment: processes that wake each other go on at the next tick
 MOST_FULL = 100  # moments with so many turns, one after the other: they wake each other without an end
-MOST_LINE = 1 << 16  # characters of a line without a break
 _DID_SOMETHING, _ONLY_INSIDE = 1, 2
 _HAS_TERMINAL = 2  # of the configuration
 _CONFIGURATION = struct.Struct("<qqqQIIIIII")
@@ -48,7 +47,6 @@ _OF_EVERYBODY = ("/", "/tmp", "/home", "/var/tmp", "/run", "/dev/shm")
 _ZENOH_RUNTIME = (
     "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), app: (worker_threads: 1))"
 )
-_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 class ProgramEnded(FleetError):
@@ -141,7 +139,7 @@ class Processes:
         self._full = 0  # moments with too many turns, one after the other
         self.status: int | None = None  # of the first process, as of subprocess.Popen; None: it runs
         self.refused = ""  # what the library has refused, in its words
-        self._texts = [_Text(), _Text()]
+        self._texts = [ProgramOutput(), ProgramOutput()]
         self._visible = _visible([*command, *environment.values()])
         self._popens: list[subprocess.Popen[bytes]] = []  # of the first process of each family
         self._first = self._start(command, environment, *(text.file for text in self._texts))
@@ -408,7 +406,7 @@ class Processes:
         if process is self._first:
             self.status = self._popens[0].wait()
         elif process.real:
-            _wait_for_end(process.real)
+            wait_for_end(process.real)
         self.send(ord("C"), process.pid.to_bytes(4, "little"), family=process.family)
 
     def _look_after(self, process: Process, begun: tuple[float, float] | None) -> tuple[float, float]:
@@ -417,7 +415,7 @@ class Processes:
             return 0.0, 0.0  # somebody thinks
         self._check_memory()
         leader = self._popens[process.family].pid
-        used = sum(map(_cpu_s, _group(leader)))
+        used = sum(map(cpu_s, process_group(leader)))
         if begun is None:
             return used, monotonic()
         first, since = begun
@@ -442,9 +440,9 @@ class Processes:
         pids = [process.real for process in self._processes.values() if process.real]
         most_kb = MEMORY_MB << 10
         # What processes share counts for each of them at first; the exact figure takes the kernel long.
-        if sum(_kb(pid, "status", ("RssAnon:", "RssShmem:")) for pid in pids) <= most_kb:
+        if sum(memory_kb(pid, "status", ("RssAnon:", "RssShmem:")) for pid in pids) <= most_kb:
             return
-        if (used := sum(_kb(pid, "smaps_rollup", ("Pss_Anon:", "Pss_Shmem:")) for pid in pids)) > most_kb:
+        if (used := sum(memory_kb(pid, "smaps_rollup", ("Pss_Anon:", "Pss_Shmem:")) for pid in pids)) > most_kb:
             raise ProgramEnded(f"it uses {used >> 10} MiB of memory; {MEMORY_MB} MiB are the most of an agent")
 
     def _show_stack(self, leader: int, number: int) -> None:
@@ -515,7 +513,7 @@ class Processes:
         if self._flags & _HAS_TERMINAL:
             take_terminal()
         for popen in self._popens:
-            for pid in _group(popen.pid):
+            for pid in process_group(popen.pid):
                 with suppress(OSError):
                     os.kill(pid, signal.SIGKILL)
             with suppress(OSError):
@@ -529,43 +527,6 @@ class Processes:
         for text in self._texts:
             text.close()
         self._home.close()
-
-
-class _Text:
-    """What a program writes to one of its standard outputs: a file in memory, so that it never waits for a reader."""
-
-    def __init__(self) -> None:
-        self.file = os.memfd_create("output")
-        os.set_inheritable(self.file, False)
-        fcntl.fcntl(self.file, fcntl.F_SETFL, os.O_APPEND)
-        self._at, self._rest = 0, b""
-
-    def lines(self, whole: bool) -> list[str]:
-        """The lines that are complete; `whole`: what is left, too."""
-        if self.file < 0:
-            return []
-        if not os.fstat(self.file).st_size and not (whole and self._rest):
-            return []  # as in most turns
-        parts = [self._rest]
-        while data := os.pread(self.file, 1 << 20, self._at):
-            parts.append(data)
-            self._at += len(data)
-        if self._at:  # no process of the program runs now, and all of them append
-            os.ftruncate(self.file, 0)
-            self._at = 0
-        if len(parts) == 1 and not (whole and self._rest):
-            return []
-        lines = b"".join(parts).split(b"\n")
-        self._rest = lines.pop()
-        if (whole and self._rest) or len(self._rest) > MOST_LINE:
-            lines.append(self._rest)
-            self._rest = b""
-        return [line.decode("utf-8", "replace").rstrip("\r") for line in lines]
-
-    def close(self) -> None:
-        if self.file >= 0:
-            os.close(self.file)
-            self.file = -1
 
 
 def _environment(seed: int) -> dict[str, str]:
@@ -595,43 +556,3 @@ def _visible(command: Sequence[str]) -> list[str]:
             folder = each if each.is_dir() else each.parent
             found.append(str(folder.parent if folder.name == "bin" else folder))
     return [folder for folder in dict.fromkeys(found) if folder not in _OF_EVERYBODY]
-
-
-def _group(leader: int) -> list[int]:
-    """The processes of a group, by the kernel's numbers."""
-    found = []
-    for name in os.listdir("/proc"):
-        if name.isdecimal():
-            with suppress(OSError):
-                if os.getpgid(int(name)) == leader:
-                    found.append(int(name))
-    return found
-
-
-def _wait_for_end(pid: int) -> None:
-    """Wait until a process that ends has ended: the kernel may close its channel before its pipes."""
-    with suppress(OSError):
-        descriptor = os.pidfd_open(pid)
-        try:
-            ends = select.poll()
-            ends.register(descriptor, select.POLLIN)
-            ends.poll(1000)
-        finally:
-            os.close(descriptor)
-
-
-def _kb(pid: int, file: str, keys: tuple[str, ...]) -> int:
-    """The sum of some figures of a process's memory [kB]."""
-    try:
-        lines = Path(f"/proc/{pid}/{file}").read_text().splitlines()
-    except OSError:
-        return 0
-    return sum(int(line.split()[1]) for line in lines if line.startswith(keys))
-
-
-def _cpu_s(pid: int) -> float:
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
-    except OSError:
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S

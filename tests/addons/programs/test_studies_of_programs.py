@@ -6,8 +6,10 @@ import json
 import sys
 from math import inf
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
+from own_program import scenario
 from repository import ROOT
 from study_engine import made_here
 from tool import invoke
@@ -110,3 +112,48 @@ def test_the_pytest_plugin_runs_programs(pytester: pytest.Pytester) -> None:
         if planted:
             result.stdout.fnmatch_lines(["*sonar.yaml fails one-at-a-time with seed 2, of 2 seeds"])
     assert "sonar" not in sys.modules
+
+
+IMPATIENT = """
+    import socket, sys
+    me = int(sys.argv[1])
+    s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    s.bind(("", 9000))
+    s.settimeout(0.05)
+    silent = 0
+    while silent < 12:
+        s.sendto(b"x", (f"auv{3 - me}", 9000))
+        try: silent, _ = 0, s.recv(9)
+        except TimeoutError: silent += 1
+    raise SystemExit("nobody is there")
+"""
+
+
+def test_a_crash_is_searched_made_smaller_kept_and_counted(
+    pytester: pytest.Pytester, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The check `programs` is one like all others: search, shrink, boundary, why, fleet_runs."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "program.py").write_text(dedent(IMPATIENT))
+    (tmp_path / "own.yaml").write_text(scenario() + "nemesis: {mode: episodes, unit: 500 ms, pick: [partition]}\n")
+    cuts = ("--set", "duration=8 s", "--set", "seed=1")
+    found = invoke("search", "own.yaml", "--check", "programs", "--budget", 4, *cuts)
+    assert found.exit_code == 1 and "Then programs fails" in found.stdout, found.output
+    assert "partition" in (tmp_path / "own-least.yaml").read_text()
+    fault = "faults=[{at: 1 s, for: 3 s, partition: 1 / 2}, {at: 5 s, for: 100 ms, mute: 1}]"
+    changes = ("--set", "nemesis=null", "--set", "duration=6 s", "--set", fault)
+    assert invoke("run", "own.yaml", "--in-process", "-q", *changes).exit_code == 1
+    why = json.loads(invoke("why", "runs/latest", "--json").stdout)
+    assert why["check"] == "programs" and why["at_s"] == pytest.approx(1.62, abs=0.1)
+    shrunk = invoke("shrink", "runs/latest", "--out", "small.yaml", "--quiet")
+    assert shrunk.exit_code == 0 and "mute" not in (tmp_path / "small.yaml").read_text(), shrunk.output
+    border = invoke("boundary", "own.yaml", "--along", "network.links.*.loss=0 %..90 %", "--width", 0.5, *changes[:4])
+    assert border.exit_code == 0 and "50 %" in border.stdout, border.output
+    monkeypatch.chdir(pytester.path)
+    pytester.makefile(".yaml", own=(tmp_path / "own.yaml").read_text())
+    pytester.makepyfile(program=dedent(IMPATIENT))
+    asked = f"'own.yaml', seeds=1, set={['nemesis=null', 'duration=3 s', fault]!r}"
+    pytester.makepyfile(test_it=f"def test_it(fleet_runs):\n    fleet_runs({asked})\n")
+    plugins = ("-p", "no:uuv-fleet", "-p", "fleet.addons.studies.pytest_plugin", "-p", "no:cacheprovider")
+    result = pytester.runpytest_inprocess(*plugins, "test_it.py")
+    result.stdout.fnmatch_lines(["*own.yaml fails programs with seed 1*"])

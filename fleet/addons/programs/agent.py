@@ -16,8 +16,10 @@ from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.process_agent import PROCESSORS, ProcessAgent, epoch_ns, own_python
 from world.errors import PluginError
 
-_PARAMETERS = ("interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup",
-               "vehicle")  # fmt: skip
+_PARAMETERS = (
+    "module", "interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup",
+    "vehicle",
+)  # fmt: skip
 # Of 1.0, where Python ran on stand-ins. Those with a value here need nothing any more.
 _OF_BEFORE = {"process": (True, "yes"), "order": ("ready",), "shared": None}
 _GONE = {
@@ -80,9 +82,14 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     except NoLibraryError as error:
         raise _wrong(path, str(error)) from None
 
+    module = str(parameters.get("module") or "")  # its folder is the one in which its package lies
+    folder = {"PYTHONPATH": str(path.resolve().parents[module.count(".")])} if module else {}
+    words = ("-m", module) if module else (str(path),)
+
     class Program(ProcessAgent):
         plugin_file = path
-        command = (*setup, *((interpreter if setup else found, str(path)) if found else (str(path),)))
+        command = (*setup, *((interpreter if setup else found, *words) if found else words))
+        variables = folder
         beside = node
         reads = lines
         signals = tuple(Signal(each.name, "1", "as the program printed it last") for each in lines)

@@ -43,6 +43,7 @@ class ProcessAgent:
 
     plugin_file: ClassVar[Path]
     command: ClassVar[tuple[str, ...]]
+    variables: ClassVar[Mapping[str, str]]  # of its environment, unless the scenario gives others
     beside: ClassVar[tuple[str, ...]]  # a program of ours that gets the agent's number; (): none
     reads: ClassVar[tuple[LineSignal, ...]]
     signals: ClassVar[tuple[Signal, ...]]
@@ -76,7 +77,9 @@ class ProcessAgent:
         words = {"id": config.id, "seed": config.seed, "zenoh": _ENDPOINT}
         self._words = [_filled(word, words) for word in (*self.command, *map(str, arguments))]
         self._words = [_ENDPOINT if word == "tcp/unused" else word for word in self._words]  # scenarios of 1.0 say so
-        self._environment = {key: _filled(str(value), words) for key, value in (env or {}).items()}
+        self._environment = dict(self.variables) | {
+            key: _filled(str(value), words) for key, value in (env or {}).items()
+        }
         folder = self.plugin_file.parent
         self._files = [path if path.is_absolute() else folder / path for path in map(Path, files)]
         self._book = _AddressBook(config, addresses or {})

@@ -100,8 +100,13 @@ class AgentSection(Section):
         program = value["program"]
         if isinstance(program, list) and len(program) == 2:  # `[node, x.js]`
             more, program = {"interpreter": program[0]} | more, program[1]
+        if isinstance(program, dict) and [*program] == ["module"] and isinstance(program["module"], str):
+            more = {"module": program["module"]} | more
+            program = program["module"].replace(".", "/") + ".py"
         if not isinstance(program, str):
-            raise mistake(f"agent.program is {program!r}", hint="give a file, or [INTERPRETER, FILE]")
+            raise mistake(
+                f"agent.program is {program!r}", hint="give a file, [INTERPRETER, FILE] or {module: PACKAGE.NAME}"
+            )
         given = own.get("parameters") or {}
         if twice := sorted(given.keys() & more.keys()):
             raise mistake(f"agent.{twice[0]} and agent.parameters.{twice[0]} are the same", hint="give one of them")

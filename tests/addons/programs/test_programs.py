@@ -67,6 +67,23 @@ def test_modules_beside_it_are_the_programs_own(run: RunProgram, tmp_path: Path)
     assert "beside" not in sys.modules and not (tmp_path / "beside" / "__pycache__").exists()
 
 
+def test_a_module_of_a_package_is_a_program(run: RunProgram, tmp_path: Path) -> None:
+    (tmp_path / "pack" / "deep").mkdir(parents=True)
+    for name in ("pack/__init__.py", "pack/deep/__init__.py"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "pack" / "other.py").write_text("WORD = 'relative'\n")
+    (tmp_path / "pack" / "deep" / "node.py").write_text(
+        "from ..other import WORD\nprint(WORD, __name__, __package__)\n"
+    )
+    run("pass")
+    text = (tmp_path / "own.yaml").read_text().replace("program: program.py", "program: {module: pack.deep.node}")
+    (tmp_path / "own.yaml").write_text(text)
+    assert lines(fleet.run("own.yaml", out=tmp_path / "runs")) == ["relative __main__ pack.deep", END]
+    (tmp_path / "own.yaml").write_text(text.replace("pack.deep.node", "pack.none"))
+    with pytest.raises(ScenarioError, match="pack/none.py"):
+        fleet.run("own.yaml")
+
+
 def test_a_kill_runs_no_finally(run: RunProgram, tmp_path: Path) -> None:
     text = """
         import random, sys, time

@@ -104,9 +104,7 @@ class AgentSection(Section):
             more = {"module": program["module"]} | more
             program = program["module"].replace(".", "/") + ".py"
         if not isinstance(program, str):
-            raise mistake(
-                f"agent.program is {program!r}", hint="give a file, [INTERPRETER, FILE] or {module: PACKAGE.NAME}"
-            )
+            raise mistake(f"agent.program is {program!r}", hint="give a file, [INTERPRETER, FILE] or {module: NAME}")
         given = own.get("parameters") or {}
         if twice := sorted(given.keys() & more.keys()):
             raise mistake(f"agent.{twice[0]} and agent.parameters.{twice[0]} are the same", hint="give one of them")

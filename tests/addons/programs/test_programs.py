@@ -80,7 +80,7 @@ def test_a_module_of_a_package_is_a_program(run: RunProgram, tmp_path: Path) -> 
     (tmp_path / "own.yaml").write_text(text)
     assert lines(fleet.run("own.yaml", out=tmp_path / "runs")) == ["relative __main__ pack.deep", END]
     (tmp_path / "own.yaml").write_text(text.replace("pack.deep.node", "pack.none"))
-    with pytest.raises(ScenarioError, match="pack/none.py"):
+    with pytest.raises(ScenarioError, match=r"pack/none\.py"):
         fleet.run("own.yaml")
 
 

@@ -74,6 +74,7 @@ class LinePort:
         self._over = False
         self.failed = False  # whether something that happened has found a defect of ours
         self._link: Path | None = None
+        self._terminal = ""  # what the link leads to
         self.clients: list[Client] = []
         self.port = 0
 
@@ -95,13 +96,16 @@ class LinePort:
     def open_terminal(self, path: Path) -> None:
         """Make a pseudo terminal that programs open by a path. Raises BusError: something else is there."""
         try:
-            if path.is_symlink() and not path.exists():  # asked first: the new terminal may have the old one's name
-                path.unlink()  # of a run that was killed
+            # A link to a terminal that is gone is that of a run that was killed. Links of others may lead to nothing,
+            # too, such as the locks of browsers. It is asked first: the new terminal may have the old one's name.
+            if path.is_symlink() and not path.exists() and os.readlink(path).startswith("/dev/pts/"):
+                path.unlink()
             if path.is_symlink() or path.exists():
                 raise BusError(f"cannot make the terminal {path}: something is there; remove it, or give another path")
             ours, theirs = os.openpty()
             tty.setraw(theirs)
-            path.symlink_to(os.ttyname(theirs))
+            self._terminal = os.ttyname(theirs)
+            path.symlink_to(self._terminal)
         except OSError as error:
             raise BusError(f"cannot make the terminal {path}: {error.strerror}") from None
         self._link = path
@@ -152,8 +156,9 @@ class LinePort:
                     key.fileobj.close()
         for client in list(self.clients):
             client.close()
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
+        with suppress(OSError):  # somebody has removed it, or put something else there
+            if self._link is not None and os.readlink(self._link) == self._terminal:
+                self._link.unlink()
 
     def _serve(self) -> None:
         while not self._over:

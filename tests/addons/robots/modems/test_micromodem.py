@@ -231,3 +231,18 @@ def test_the_terminal_of_a_run_that_was_killed_is_made_anew(tmp_path: Path) -> N
     water = Water(MicroModem, core=ModemCore(1, MicroModem, terminal=str(path)))
     assert path.exists()
     water.core.close()
+
+
+def test_a_link_of_somebody_else_stays(tmp_path: Path) -> None:
+    """The lock of a browser is a link to nothing; and what takes the place of ours later is not ours either."""
+    lock = tmp_path / "SingletonLock"
+    lock.symlink_to("host-4711")
+    with pytest.raises(BusError, match="something is there"):
+        ModemCore(1, MicroModem, terminal=str(lock)).listen()
+    assert lock.is_symlink()
+    path = tmp_path / "ttyAUV"
+    water = Water(MicroModem, core=ModemCore(1, MicroModem, terminal=str(path)))
+    path.unlink()
+    path.symlink_to("host-4712")
+    water.core.close()
+    assert path.is_symlink()

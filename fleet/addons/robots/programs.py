@@ -108,6 +108,7 @@ class Programs:
         self.cpu_s = 0.0
         self.said: list[Ended] = []  # since the last frame
         self._over_ns = 2**63
+        self._sessions: set[int] = set()  # of all programs that were started: each is the leader of one
         self._stubborn: list[str] = []  # programs that had to be killed when they were to stop
 
     @property
@@ -305,6 +306,7 @@ class Programs:
         if state.ended:
             self.said.append(Ended(at_ns, state.node, begins=True))
         state.pid, state.since_ns, state.ready, state.ended = pid, at_ns, False, ""
+        self._sessions.add(pid)
         self._forget(state.node)
 
     def _forget(self, node: int) -> None:
@@ -405,7 +407,7 @@ class Programs:
         assert kept.stdin is not None
         began, told = monotonic_ns(), False
         deadline = began + round((within_s + STOP_S) * 1e9)
-        with suppress(RunBroken):
+        with suppress(RunBroken):  # the keeper may be gone already
             while kept.poll() is None and monotonic_ns() < deadline and not hurry():
                 self.hear()
                 if not told and monotonic_ns() > began + PATIENCE_NS:
@@ -417,11 +419,16 @@ class Programs:
         self.advance(2**63)
         if self._stubborn:
             self._note(f"{some(self._stubborn)} did not stop in time and had to be killed: see stop")
-        kept.stdin.close()  # it kills what is left
+        with suppress(OSError):
+            kept.stdin.close()  # it kills what is left
         with suppress(subprocess.TimeoutExpired):
             kept.wait(STOP_S)
         kept.kill()
-        kept.wait()
+        if kept.wait():  # it has not: each program is a session, and what it had started is of that
+            for session in self._sessions:
+                for pid in keeper.descendants([session], session=session):
+                    with suppress(OSError):
+                        os.kill(pid, SIGKILL)
         if kept.stdout is not None:
             kept.stdout.close()
 

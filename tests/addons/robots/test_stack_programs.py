@@ -259,6 +259,18 @@ def test_nobody_is_left_when_the_console_is_killed(tmp_path: Path) -> None:
         run.until_nobody_is_left()
 
 
+def test_a_run_ends_with_a_line_when_its_keeper_is_killed(tmp_path: Path) -> None:
+    run_it = "sh -c 'sleep 1000 & echo $! > left; exec sleep 1000'"
+    with stack(tmp_path, nodes=udp("m1", "m2"), programs={"m1": {"run": run_it}}) as run:
+        begun(run)
+        wait_for(lambda: (tmp_path / "left").exists() and (tmp_path / "left").read_text(), LIMIT_S, "its child")
+        (keeping,) = [process for process in run.family() if "keeper.py" in " ".join(process.cmdline())]
+        keeping.kill()
+        assert run.status() == 3
+        assert "the keeper of the programs is gone" in run.said and "Traceback" not in run.said, run.said
+        run.until_nobody_is_left()
+
+
 GETTING_READY: dict[str, tuple[dict[str, Any], str]] = {
     "docker": ({"compose": "slow.yaml"}, "starting the programs"),
     "unready": ({"programs": {"m1": {"run": "sleep 1000", "ready": {"line": "never"}}}}, "waiting for m1 to be ready"),

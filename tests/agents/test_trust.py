@@ -210,8 +210,7 @@ def test_nothing_is_unpickled() -> None:
         ("fleet/processes/workers.py", "pickle"),
         ("fleet/processes/apart.py", "pickle"),
     }
-    # It runs a program as an agent, which is a file that the rules for plug-ins have let run.
-    assert run == {("fleet/addons/programs/import_space.py", "exec")}
+    assert run == set()
 
 
 # --- running what a log names ----------------------------------------------

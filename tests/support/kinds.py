@@ -24,7 +24,6 @@ EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "cluster": (("dask", "distributed"), ("tests/addons/studies/test_dask_engine.py",)),
     "fmu": (("fmpy",), ("tests/addons/fmu/test_fmu.py", "tests/system/test_fmu_runs.py")),
     "foxglove": (("foxglove", "websockets"), ("tests/addons/page/test_foxglove",)),
-    "programs": ((), ("tests/addons/programs",)),  # it needs no package, but a compiler and a minute
     "rl": (("pettingzoo", "gymnasium"), ("tests/addons/learning",)),
     "ros2": (
         ("rosbags", "xxhash", "mcap_ros2", "pyzeros", "zenoh_ros2_sdk"),
@@ -48,6 +47,7 @@ EXTRAS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 # What is asked once per merge, since it looks at the whole tree, or at what is built from it.
 ONCE = (
+    "tests/addons/programs",  # they need a compiler, and a minute
     *("tests/house/test_docstrings.py", "tests/house/test_errors.py", "tests/house/test_foreign_project.py"),
     *("tests/house/test_foreign_addon.py", "tests/house/test_lessons.py"),
     *("tests/house/test_rooms.py", "tests/house/test_site.py", "tests/house/test_study_example.py"),

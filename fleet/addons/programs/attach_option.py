@@ -8,17 +8,19 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import click
 
 from fleet.addons.programs.attachment import Attachment, attached
 from fleet.cli.companion import Beside, Companion
 from fleet.errors import FleetError
-from fleet.execution.options import Options
 from fleet.option import Option
 from fleet.quantities import time_ns
-from fleet.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from fleet.execution.options import Options
+    from fleet.scenario.scenario import Scenario
 
 _ASKED = re.compile(r"(?P<agent>\d+)(?P<gdb>:gdb)?(@(?P<at>.+))?")
 

@@ -74,9 +74,11 @@ def _words(value: Any) -> Any:
 
 
 def _pattern(value: Any) -> Any:
+    if isinstance(value, str) and len(value) > _MOST_PATTERN:
+        raise mistake(f"has {len(value)} characters: {_MOST_PATTERN} at most")
     try:
         re.compile(value if isinstance(value, str) else "")
-    except re.error as error:
+    except (re.error, OverflowError, RecursionError) as error:
         raise mistake(f"is no regular expression: {error}") from None
     return value
 
@@ -86,9 +88,22 @@ def _texts(value: Any) -> Any:
 
 
 _STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[(-?\d{1,9})\]", re.ASCII)
-_PATH = re.compile(rf"({_STEP.pattern})*", re.ASCII)
 _STRUCT = re.compile(r"([@=<>!]?[\dcbB?hHiIlLqQnNefdspPx\s]+)(?:\[(\d{1,6})\])?", re.ASCII)
 _MOST_STRUCT = 65_536  # bytes
+_MOST_PATTERN = 1000  # characters
+
+
+def _is_path(text: str) -> bool:
+    """Whether steps follow each other without anything between. (Rejected: one expression for all steps. A stranger's
+    text of thirty letters then has more ways to be steps than anybody can try.)
+    """
+    at = 0
+    while at < len(text):
+        found = _STEP.match(text, at)
+        if found is None:
+            return False
+        at = found.end()
+    return True
 
 
 def path_of(text: str) -> list[str | int]:
@@ -111,7 +126,7 @@ def struct_of(text: str) -> tuple[struct.Struct, int] | None:
 
 
 def _path(value: Any) -> Any:
-    if not isinstance(value, str) or not _PATH.fullmatch(value):
+    if not isinstance(value, str) or len(value) > _MOST_PATTERN or not _is_path(value):
         raise mistake(f"expected a path such as [0][2] or pose.x, got {describe_value(value)}")
     return value
 
@@ -163,7 +178,7 @@ class ProgramSection(Section):
 class StackSignalSection(Section):
     """A number that programs tell. It is held until they tell the next one."""
 
-    of: str = "*"  # a node or a pattern of nodes
+    of: Annotated[str, Field(max_length=_MOST_PATTERN)] = "*"  # a node or a pattern of nodes
     line: Pattern | None = None  # a line that a program of the node prints, with (?P<value>...) round the number
     message: str | None = None  # the key that the node puts the message on, or udp/PORT
     json_: Annotated[Path | None, Field(alias="json")] = None  # where the number is: [0][2], or pose.x

@@ -64,7 +64,10 @@ STORY = """
     publisher.put("hello", attachment=b"more")
     publisher.put(b"x" * 100_000)
     for n in range(3): session.put(f"demo/{me}/ring", str(n), congestion_control=waits)
-    found = [fifo.recv() for _ in range(4)]
+    found = []
+    while len(found) < 4 and time.monotonic() < begin + 10:
+        if (one := fifo.try_recv()) is None: time.sleep(0.01)
+        else: found.append(one)
     def more(s): return s.attachment and s.attachment.to_bytes()
     print(sorted(f"{s.key_expr} {len(s.payload)} {s.encoding} {more(s)}" for s in found))
     until(2.0)
@@ -132,24 +135,32 @@ def zenoh_run(tmp_path: Path, text: str, vehicles: int = 2, **changes: str) -> R
     return fleet.run("own.yaml", out=tmp_path / "runs", set={"duration": "12 s", **changes})
 
 
-def test_programs_see_at_their_endpoint_what_they_see_at_a_router(router: str, tmp_path: Path) -> None:
-    result = zenoh_run(tmp_path, STORY)
-    assert result.status is Status.PASS, [lines(result, agent) for agent in (1, 2)]
-    command = [sys.executable, "program.py", router]
-    texts = [tmp_path / f"said-{me}.txt" for me in (1, 2)]
+def on_the_host(router: str, folder: Path) -> list[list[str]]:
+    """What both say with a plain router, in real time."""
+    texts = [folder / f"said-{me}.txt" for me in (1, 2)]
     both = []
     for me, text in enumerate(texts, 1):
         with text.open("w") as file:
-            both.append(subprocess.Popen([*command, str(me)], stdout=file, stderr=subprocess.STDOUT))
+            command = [sys.executable, "program.py", router, str(me)]
+            both.append(subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT))
     try:
         for one in both:
-            one.wait(100)
+            one.wait(60)
+    except subprocess.TimeoutExpired:
+        pass
     finally:
         for one in both:
             one.kill()
             one.wait()
-    said = [text.read_text().splitlines() for text in texts]
-    assert [lines(result, me)[:-1] for me in (1, 2)] == said
+    return [text.read_text().splitlines() for text in texts]
+
+
+def test_programs_see_at_their_endpoint_what_they_see_at_a_router(router: str, tmp_path: Path) -> None:
+    result = zenoh_run(tmp_path, STORY)
+    assert result.status is Status.PASS, [lines(result, agent) for agent in (1, 2)]
+    ours = [lines(result, me)[:-1] for me in (1, 2)]
+    # Zenoh drops what a busy host does not take at once, also with BLOCK after a while.
+    assert any(ours == (theirs := on_the_host(router, tmp_path)) for _ in range(3)), (ours, theirs)
     again = execute(load_scenario("own.yaml", ["duration=12 s"]), Options(tmp_path / "runs", quiet=True))
     assert again.digest == result.digest
 

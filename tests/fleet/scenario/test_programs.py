@@ -274,3 +274,20 @@ def test_a_section_with_another_name_is_one_mistake_with_the_name_that_was_meant
     sections[key] = sections.pop(meant)
     (found,) = refused(**sections)
     assert found == f'"{key}" has no meaning for nodes | did you mean "{meant}"?'
+
+
+@pytest.mark.parametrize(
+    ("signal", "expected"),
+    [
+        ({"message": "k", "json": "a" * 60 + "!"}, "expected a path such as [0][2] or pose.x"),
+        ({"message": "k", "json": "a" * 2000}, "expected a path such as [0][2] or pose.x"),
+        ({"line": "(?P<value>a{99999999999})"}, "is no regular expression"),
+        ({"line": "(" * 5000 + ")" * 5000}, "has 10000 characters: 1000 at most"),
+        ({"line": "(" * 50 + ")" * 50}, "line names no group"),
+        ({"of": "[a" * 5000, "message": "k", "count": True}, "at most 1000 characters"),
+    ],
+)
+def test_a_strangers_pattern_is_refused_and_holds_up_no_reader(signal: dict[str, Any], expected: str) -> None:
+    """The first one had more ways to be a path than anybody can try; the next two were tracebacks."""
+    found = refused(**WHOLE | {"signals": {"x": signal}})
+    assert any(expected in each for each in found), found

@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
@@ -54,8 +55,25 @@ class ListingGroup(click.Group):
                 formatter.write_dl(rows)
 
 
+_TYPED = "fleet.typed"
+
+
+def typed_command() -> str:
+    """The command line that was typed, as one for a shell."""
+    return f"fleet {shlex.join(click.get_current_context().meta[_TYPED])}"
+
+
 class FleetGroup(click.Group):
     """The group of all commands: it imports only the one in use, and prints the errors that commands raise."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """The context of a command line, which remembers what was typed."""
+        typed = [*args]
+        context = super().make_context(info_name, args, parent, **extra)
+        context.meta[_TYPED] = typed
+        return context
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names of all commands, in the order of the help."""

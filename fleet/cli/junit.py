@@ -39,16 +39,23 @@ class JUnitCase:
     wall_s: float = 0.0
 
 
-def of_run(result: Result) -> list[JUnitCase]:
-    """A case for each check, and one for a run that did not come to its end."""
+def of_run(result: Result, command: str) -> list[JUnitCase]:
+    """A case for each check, and one for a run that did not come to its end. They share the wall time of the run.
+
+    Args:
+        result: of the run.
+        command: the command line that made it.
+    """
     meant = result.passed  # a run that is meant to fail
-    again = f"fleet run {result.scenario} --seed {result.seed}  # sha256 {result.digest[:16]}"
+    again = f"{command}  # seed {result.seed}, sha256 {result.digest[:16]}"
+    count = len(result.checks) + bool(result.reason)
+    wall_s = (result.wall.startup_s + result.wall.run_s) / max(1, count)
     cases = [
-        JUnitCase(one.check, "" if one.passed or meant else f"{one.asked}; found {one.found}", said=again)
+        JUnitCase(one.check, "" if one.passed or meant else f"{one.asked}; found {one.found}", "", again, wall_s)
         for one in result.checks
     ]
     if result.reason:
-        cases.append(JUnitCase("run", error=result.reason, said=again))
+        cases.append(JUnitCase("run", error=result.reason, said=again, wall_s=wall_s))
     return cases
 
 

@@ -17,7 +17,7 @@ from fleet.cli.companion import Companion, Companions
 from fleet.cli.completion import scenarios
 from fleet.cli.declare import command
 from fleet.cli.documents.output import json_is_asked, print_document
-from fleet.cli.group import EPILOG
+from fleet.cli.group import EPILOG, typed_command
 from fleet.cli.junit import Junit
 from fleet.cli.types import Trust, Whole, is_given
 from fleet.execution.options import Options
@@ -121,7 +121,7 @@ def execute_and_print(
         if result.directory is not None:
             for each in beside:
                 _tell(each.over, result.directory)
-        cli_junit.write(junit, result.scenario, cli_junit.of_run(result))
+        cli_junit.write(junit, result.scenario, cli_junit.of_run(result, typed_command()))
         _print_result(result, quiet=options.quiet)
     sys.exit(result.status.exit)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -31,7 +32,15 @@ def number_at(value: Any, path: list[str | int]) -> float:
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise NoNumber(f"expected a number, got {value!r:.40}") from None
+        raise NoNumber(f"expected a number, got {_shown(value):.40}") from None
+
+
+def _shown(value: Any) -> str:
+    """A stranger's value in words. It may be nested deeper, or have more digits, than Python shows."""
+    try:
+        return reprlib.repr(value)
+    except (RecursionError, ValueError):
+        return f"a {type(value).__name__}"
 
 
 def reader(section: StackSignalSection) -> Callable[[str, bytes], float]:
@@ -67,7 +76,7 @@ def _of_cbor(payload: bytes) -> Any:
     try:
         import cbor2
     except ImportError:
-        raise NoNumber("is CBOR, which needs: pip install cbor2") from None
+        raise NoNumber("is CBOR, which needs uuv-fleet[cbor]") from None
     return cbor2.loads(payload)
 
 

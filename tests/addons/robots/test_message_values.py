@@ -104,9 +104,23 @@ def test_any_value_has_a_number_at_a_path_or_none(value: Any, path: list[str | i
         assert isinstance(number_at(value, path), float)
 
 
+@pytest.mark.parametrize(
+    ("payload", "kind"),
+    [
+        (b"\x91" * 1010 + b"\x01", "msgpack"),  # 1,010 lists in each other
+        (b"\xc2\x59\x07\xd0" + b"\xff" * 2000, "cbor"),  # a number of 4,817 digits
+    ],
+)
+def test_what_python_cannot_show_is_told_in_words(payload: bytes, kind: str) -> None:
+    """One such message ended a run with a traceback."""
+    if kind == "cbor":
+        pytest.importorskip("cbor2")
+    assert problem(payload, **{kind: ""}).startswith("expected a number, got ")
+
+
 def test_cbor_without_its_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "cbor2", None)
-    assert problem(b"\x05", cbor="") == "is CBOR, which needs: pip install cbor2"
+    assert problem(b"\x05", cbor="") == "is CBOR, which needs uuv-fleet[cbor]"
 
 
 def test_a_message_of_ros_has_its_fields() -> None:

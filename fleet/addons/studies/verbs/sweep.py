@@ -62,7 +62,8 @@ def sweep(
     replace them. With the directory of a study, sweep makes the runs that are missing. So you can interrupt a study at
     any time.
 
-    It measures, so runs that fail are a result, and the exit status is 0. --junit shows points with such runs as failed.
+    It measures, so runs that fail are a result, and the exit status is 0; --junit shows points with such runs as
+    failed.
 
     \b
     VALUES are a list (nboc,bc), a range with a step (0 %..90 %/10 %), with a count

@@ -64,6 +64,7 @@ class RobotEndpoint:
     listen: str = ""
     connect: str = ""
     config: str = ""  # a file of zenoh's configuration, for TLS and credentials
+    silent: bool = False  # nothing of what its programs say here is carried: they have a modem for that
 
 
 class Token(NamedTuple):
@@ -141,6 +142,8 @@ class Robot:
         # Advanced publishers, as those of transient local topics, answer below their key; ** does not include @.
         below = [f"{key.removesuffix('/**').removesuffix('**')}/**/@adv/**" for key in carry if "@" not in key]
         self._carry = [zenoh.KeyExpr(text) for text in (*carry, *(key.removeprefix("/") for key in below))]
+        if access.silent:
+            self._carry = []
         self._held: list[Any] = []
 
     def begin(self) -> None:
@@ -238,6 +241,8 @@ class Robot:
 
     def carries(self, token: str) -> bool:
         """Whether others may see a token: that of a node of ROS, or of something whose key the network carries."""
+        if not self._carry:
+            return False
         key = token
         if token.startswith(f"{ROS_TOKENS}/"):
             found = ros_key(token)

@@ -95,6 +95,7 @@ def setup_of(
                 node.listen or found.get(names[i - 1], ""),
                 node.connect or "",
                 str(here / node.zenoh) if node.zenoh else "",
+                silent=node.modem is not None and spec.carry is None,
             )
             for i, node in nodes
         ),

@@ -222,3 +222,19 @@ def test_a_file_of_zenoh_adds_no_addresses(tmp_path: Path) -> None:
     with closing(there):
         Robot(RobotEndpoint(1, "a", connect=f"tcp/127.0.0.1:{port}", config=str(file)), ["**"], Inlet(print)).close()
     assert (tmp_path / "thesis").read_text() == "years of work"
+
+
+def test_what_a_robot_with_a_modem_of_its_own_says_here_stays(net: Net) -> None:
+    """Its programs send through the modem; else their topics were in the water, too, and in its way."""
+    port = free_port()
+    heard: SimpleQueue[Any] = SimpleQueue()
+    endpoint = RobotEndpoint(2, "auv2", listen=f"tcp/127.0.0.1:{port}", silent=True)
+    with closing(Robot(endpoint, ["**"], Inlet(heard.put))) as robot:
+        placed: SimpleQueue[bytes] = SimpleQueue()
+        robot.begin()
+        robot.watch("odom", lambda key, payload: placed.put(payload))
+        with closing(program(port)) as own:
+            wait_for(lambda: own.put("odom", "here") or not placed.empty(), LIMIT_S, "what is watched")
+        assert not robot.carries(service_token("1"))
+    while not heard.empty():
+        assert type(heard.get()).__name__ not in ("_Heard", "_Replied")

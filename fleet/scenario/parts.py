@@ -177,8 +177,12 @@ class Parts:
         return self._choices[entries]
 
     def choices(self) -> Iterator[tuple[Entries, VehicleOverrides]]:
-        """Entries and choice, once for all vehicles that the same entries name; first without any entry."""
-        for entries in dict.fromkeys(self.entries(i) for i in range(self.spec.vehicles + 1)):
+        """Entries and choice, once for all vehicles that the same entries name; first without any entry.
+
+        Of a moored fleet only what some vehicle runs counts: none of our laws is there to be right or wrong.
+        """
+        first = 1 if self.spec.moored else 0
+        for entries in dict.fromkeys(self.entries(i) for i in range(first, self.spec.vehicles + 1)):
             yield entries, self.choice(entries)
 
     def guidance(self) -> Iterator[tuple[Entries, str, GuidanceSection, str]]:

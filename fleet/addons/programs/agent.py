@@ -64,6 +64,17 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         raise _wrong(
             path, "it cannot be executed", "chmod +x, or say by which interpreter, such as `interpreter: node`"
         )
+    folder = path.parent
+    files = parameters.get("files") or ()
+    if not isinstance(files, list | tuple) or not all(isinstance(each, str) for each in files):
+        raise _wrong(path, f"files: expected a list of files and folders, got {files!r:.80}")
+    for each in files:
+        if not (folder / each).exists():
+            raise _wrong(path, f"files: there is no {each} in {folder}")
+    if not isinstance(parameters.get("env") or {}, Mapping):
+        raise _wrong(path, f"env: expected {{NAME: value}}, got {parameters['env']!r:.80}")
+    if not isinstance(parameters.get("arguments") or [], list | tuple):
+        raise _wrong(path, f"arguments: expected a list of words, got {parameters['arguments']!r:.80}")
     try:
         epoch_ns(str(parameters.get("epoch") or "2026-01-01"))
     except ValueError as error:
@@ -83,13 +94,13 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         raise _wrong(path, str(error)) from None
 
     module = str(parameters.get("module") or "")  # its folder is the one in which its package lies
-    folder = {"PYTHONPATH": str(path.resolve().parents[module.count(".")])} if module else {}
+    variables_of_module = {"PYTHONPATH": str(path.resolve().parents[module.count(".")])} if module else {}
     words = ("-m", module) if module else (str(path),)
 
     class Program(ProcessAgent):
         plugin_file = path
         command = (*setup, *((interpreter if setup else found, *words) if found else words))
-        variables = folder
+        variables = variables_of_module
         beside = node
         reads = lines
         signals = tuple(Signal(each.name, "1", "as the program printed it last") for each in lines)

@@ -41,7 +41,10 @@ class Attach(Companion):
 
     def prepare(self, scenario: Scenario, how: Options, one_process: str) -> Options:
         """Run in one process. Raises click.UsageError: there is no such program, or no terminal."""
-        self._asked(scenario)
+        asked = self._asked(scenario)
+        if not asked.gdb:
+            text = f"what agent {asked.agent} prints is here and not in the log: its signals have no value"
+            click.echo(f"note: {text}", err=True)
         return replace(how, in_process=True)
 
     @contextmanager
@@ -50,7 +53,7 @@ class Attach(Companion):
         with attached(_read(self.options.attach or "")):
             yield Beside()
 
-    def _asked(self, scenario: Scenario) -> None:
+    def _asked(self, scenario: Scenario) -> Attachment:
         asked = _read(self.options.attach or "")
         if not 1 <= asked.agent <= scenario.vehicles:
             raise click.UsageError(f"--attach: agents are 1 to {scenario.vehicles}, got {asked.agent}")
@@ -61,6 +64,7 @@ class Attach(Companion):
             raise click.UsageError("--attach: there is no gdb here: install it")
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise click.UsageError("--attach needs a terminal: neither input nor output may be a file or a pipe")
+        return asked
 
 
 def _read(text: str) -> Attachment:

@@ -208,10 +208,12 @@ class _Life:
     ) -> None:
         self._id, self._book = config.id, book
         self._beside, self._environment = beside, environment
+        self._node: int | None = None  # the family of the program beside it
         self._out: deque[bytes] = deque()
         self._queued, self._dropped, self._number = 0, 0, 0
         self._fragments = Fragments()
         self.over = self._begun = False
+        self._last_ns = 0
         self._config = config
         self._helper: int | None = None  # the family of the zenoh endpoint; None: nobody has asked for it
         self._wanted = any(_ENDPOINT in word for word in command)  # an endpoint; who names it is given it at once
@@ -247,14 +249,20 @@ class _Life:
             return []
         processes, streams = self.processes, self.streams
         if self._begun and not packets and not streams.busy and nav is None and processes.soonest_ns > now_ns:
+            self._last_ns = now_ns
             return []  # as in most ticks
         said: list[tuple[int, str, str]] = []
+        # A fault has paused it, as SIGSTOP does: its timers are late, and all at once.
+        stood = self._begun and now_ns - self._last_ns > self._config.tick_ns
+        self._last_ns = now_ns
         try:
+            if stood:
+                processes.jump(now_ns)
             if not self._begun:
                 self._begun = True
                 processes.begin()
                 if self._beside:
-                    processes.begin_helper([*self._beside, str(self._id)], self._environment)
+                    self._node = processes.begin_helper([*self._beside, str(self._id)], self._environment)
             processes.advance(now_ns, before_last=lambda: said.extend(self._lines()))
             streams.processes = processes.count
             streams.tick(now_ns)
@@ -264,6 +272,8 @@ class _Life:
                 self._tell_own(NAVIGATION_PORT, navigation(nav, now_ns))
             processes.advance(now_ns)
             self._serve_zenoh(now_ns)
+            if self._node is not None and processes.running and not processes.family_runs(self._node):
+                raise ProgramEnded("the node of its vehicle has ended, see its lines")
         except ProgramEnded as error:
             said += self._lines()
             return [*said, *self._end(str(error))]

@@ -98,6 +98,8 @@ class AgentSection(Section):
         own = {key: each for key, each in value.items() if key in cls.model_fields}
         more = {key: each for key, each in value.items() if key not in {*own, "program"}}
         program = value["program"]
+        if "law" in own:
+            raise mistake("agent.program and agent.law are both given", hint="a program is in place of a law")
         if isinstance(program, list) and len(program) == 2:  # `[node, x.js]`
             more, program = {"interpreter": program[0]} | more, program[1]
         if isinstance(program, dict) and [*program] == ["module"] and isinstance(program["module"], str):

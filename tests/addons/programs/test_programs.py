@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
-from own_program import RunProgram, lines
+from own_program import RunProgram, lines, scenario
 from tool import invoke
 
 import fleet
@@ -116,6 +116,10 @@ def test_mistakes_are_told_where_they_are(run: RunProgram) -> None:
         ("cots", "1", "there is no key 'cots'"),
         ("interpreter", "nobody-has-this", "there is no command 'nobody-has-this'"),
         ("epoch", "yesterday", "epoch: Invalid isoformat string"),
+        ("files", "[nope.txt]", "files: there is no nope.txt in"),
+        ("env", "[A=1]", "env: expected {NAME: value}"),
+        ("vehicle", "ros1", "vehicle: expected ros2"),
+        ("law", "x", "agent.program and agent.law are both given"),
     ):
         with pytest.raises(ScenarioError, match=words):
             run("pass", **{key: value})
@@ -169,3 +173,44 @@ def test_programs_differ_by_vehicle_and_go_beside_laws(tmp_path: Path, monkeypat
     assert lines(result) == ["one", END] and lines(result, 2) == ["two 1", END]
     assert result.directory is not None
     assert fleet.open_log(result.directory)["uuv/3/command"]["tau"][-1].any()  # the law steers
+
+
+def test_vehicles_that_all_have_programs_need_no_other_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.py").write_text("print('one')\n")
+    (tmp_path / "own.yaml").write_text(
+        "name: own\ntitle: all\nvehicles: 3\nduration: 1 s\nmoored: true\ngraph: {shape: complete}\n"
+        'network: {period: 100 ms, links: {"*": delay 20ms}}\n'
+        'per_vehicle: {1: {agent: {program: one.py}}, "2-3": {agent: {program: one.py}}}\n'
+    )
+    assert lines(fleet.run("own.yaml", out=tmp_path / "runs"), 3) == ["one", END]
+
+
+def test_a_pause_is_a_gap_as_with_a_program_that_is_stopped(run: RunProgram, tmp_path: Path) -> None:
+    """Its clock has gone on, its timers are late: it does not live again what it has missed."""
+    text = """
+        import threading, time
+        def tick(name, s):
+            while True:
+                time.sleep(s)
+                print(name, round(time.monotonic() - 1000, 2))
+        threading.Thread(target=tick, args=("slow", 0.5)).start()
+        tick("quick", 0.25)
+    """
+    run(text)
+    (tmp_path / "program.py").write_text(dedent(text))
+    said = lines(fleet.run("own.yaml", out=tmp_path / "runs", fault=["at 0.6s for 1.5s pause 1"]))
+    quick = [float(line.split()[1]) for line in said if line.startswith("quick")]
+    assert quick == [0.25, 0.5, 2.1, 2.35, 2.6, 2.85]
+    assert [line.split()[1] for line in said if line.startswith("slow")] == ["0.5", "2.1", "2.6"]
+
+
+def test_the_node_of_a_vehicle_that_ends_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here there is no rclpy for it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rclpy.py").write_text("raise ImportError('none is here')\n")
+    (tmp_path / "program.py").write_text("import time\ntime.sleep(99)\n")
+    (tmp_path / "own.yaml").write_text(scenario(vehicle="ros2", env=f"{{PYTHONPATH: {tmp_path}}}"))
+    result = fleet.run("own.yaml", out=tmp_path / "runs")
+    assert lines(result)[-1] == "failed: the node of its vehicle has ended, see its lines"
+    assert "err: ImportError: none is here" in lines(result)

@@ -38,7 +38,7 @@ def compiled() -> tuple[Path, Path]:
             f"programs in simulated time need Linux on x86-64; this is {platform.system()} on {platform.machine()}. "
             "On the wall clock they run anywhere: fleet netem"
         )
-    if (SOURCES / LIBRARY).is_file() and (SOURCES / LAUNCHER).is_file():
+    if (SOURCES / LIBRARY).is_file() and os.access(SOURCES / LAUNCHER, os.X_OK):
         return SOURCES / LIBRARY, SOURCES / LAUNCHER
     folder = _cache() / _mark()
     if not (folder / LIBRARY).is_file():

@@ -13,6 +13,7 @@ import select
 import socket
 import sys
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import count
 from threading import Lock
@@ -24,6 +25,7 @@ import msgpack
 import zenoh
 
 from fleet.addons.programs.known_ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
+from netem.errors import BusError
 from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.queries import OpenQueries, Ticket
 from netem.wire.robot_queues import Inlet
@@ -34,6 +36,7 @@ NAVIGATION, COMMAND = "self/nav", "self/cmd"
 TOKENS_S, LEASE_S = 0.5, 2.0  # how often tokens are told, and after which silence they are gone
 MOST_DATAGRAM = 60_000
 MOST_MESSAGE = 1 << 20
+_MOST_PARTS = -(-MOST_MESSAGE // MOST_DATAGRAM)
 MOST_UNFINISHED = 64  # messages of several datagrams of which some are missing
 _PRIORITIES = {
     each.__int__(): each  # type: ignore[union-attr]
@@ -73,7 +76,7 @@ class ZenohEndpoint:
         self._numbers: dict[Ticket, int] = {}
         self._count = count(1)
         self._queries = OpenQueries({number: set(heard)}, self._end_query)
-        self._own_tokens: dict[str, int] = {}  # how many robots' programs have one; here only this one
+        self._own_tokens: dict[str, None] = {}  # in the order in which they came
         self._tokens_end_ns = 0  # until when the tokens are told though there is none any more
         self._shown: dict[int, set[str]] = {}
         self._heard_ns: dict[int, int] = {}
@@ -98,7 +101,8 @@ class ZenohEndpoint:
             for ready in select.select([self._socket, self._vehicle], [], [], left_s)[0]:
                 data, (address, _) = ready.recvfrom(1 << 16)
                 if ready is self._vehicle:
-                    self._robot.say(NAVIGATION, data)
+                    with suppress(BusError):
+                        self._robot.say(NAVIGATION, data)
                 else:
                     self._hear(int.from_bytes(socket.inet_aton(address)[2:], "big"), data)
 
@@ -155,7 +159,7 @@ class ZenohEndpoint:
         if token.alive == (token.key in self._own_tokens) or not self._robot.carries(token.key):
             return
         if token.alive:
-            self._own_tokens[token.key] = 1
+            self._own_tokens[token.key] = None
         else:
             del self._own_tokens[token.key]
             self._tokens_end_ns = monotonic_ns() + round(LEASE_S * 1e9)
@@ -202,10 +206,12 @@ class ZenohEndpoint:
                     return
                 message = msgpack.unpackb(whole)
             self._handle(src, message)
-        except (ValueError, TypeError, IndexError, KeyError, AttributeError, zenoh.ZError):
+        except (ValueError, TypeError, IndexError, KeyError, AttributeError, OverflowError, zenoh.ZError, BusError):
             return  # damaged on its way: it is dropped, as UDP and TCP do
 
     def _whole(self, src: int, number: int, part: int, of: int, data: bytes) -> bytes | None:
+        if not 0 <= part < of <= _MOST_PARTS:
+            raise ValueError("no such part")
         parts = self._parts.setdefault((src, number), {})
         parts[part] = data
         if len(parts) < of:

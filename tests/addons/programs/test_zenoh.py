@@ -191,6 +191,28 @@ def test_what_is_damaged_or_too_long_is_dropped(tmp_path: Path) -> None:
     assert lines(damaged)[1] == "[10, 70000, 2000000]"
 
 
+def test_odd_datagrams_end_no_endpoint(tmp_path: Path) -> None:
+    """Programs of others can send there, too."""
+    text = """
+        import msgpack, random, socket
+        seen = []
+        subscriber = session.declare_subscriber("a/*", lambda s: seen.append(s.payload.to_string()))
+        until(1)
+        to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        odd = [[0, "a/#//b", b"x", "text"], [2, 1, "***", b"", None, None], [3, 7, 0, "a", b"", "text"], [4, 7, 1],
+               [5, [7]], [6, 1, 3, 1 << 40, b"x"], [6, 1, -1, 2, b"x"], [0], [], 5, [5, 3],
+               [2, 1, "a/b", None, None, None, 9]]
+        for each in [*map(msgpack.packb, odd), *(random.randbytes(20) for _ in range(200))]:
+            to.sendto(each, (f"auv{3 - me}", 7448))
+        until(2)
+        session.put(f"a/{me}", f"of {me}")
+        until(3)
+        print(sorted(seen))
+    """
+    result = zenoh_run(tmp_path, text)
+    assert [lines(result, me)[0] for me in (1, 2)] == ["['of 1', 'of 2']"] * 2
+
+
 @pytest.mark.parametrize("way", ["distributed", "hosted"])
 def test_member_has_the_same_bytes_in_every_way(way: str, tmp_path: Path) -> None:
     """The zenoh program of our own example, with the arguments that 1.0 asked for."""

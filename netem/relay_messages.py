@@ -19,6 +19,7 @@ class Port(Struct, frozen=True):
     dst: int
     host: str
     to: int  # 0: to the sender of the last datagram of the way back
+    at: str = "127.0.0.1"  # the address of this machine on which our port is
 
 
 class Watched(Struct, frozen=True):

@@ -386,7 +386,9 @@ class RelayProcess:
             return False
         try:
             back.sendto(due.payload, address)
-        except OSError:
+        except OSError as error:
+            where = f"{address[0]}:{address[1]}"
+            self._note(f"datagrams for {self._names[due.dst]} cannot be sent to {where}: {error.strerror}")
             return False
         return True
 
@@ -540,8 +542,12 @@ def _address(host: str) -> str:
 def _bound(port: Port) -> socket.socket:
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        made.bind(("127.0.0.1", port.port))
+        made.bind((_address(port.at), port.port))
     except OSError as error:
         made.close()
-        raise BusError(f"cannot listen on port {port.port} for datagrams: {error.strerror}") from None
+        where = f"{port.at}:{port.port}"
+        raise BusError(f"cannot listen on {where} for datagrams: {error.strerror}") from None
+    except BusError:
+        made.close()
+        raise
     return made

@@ -184,9 +184,18 @@ def test_a_datagram_that_the_system_refuses_or_that_has_no_receiver_is_not_deliv
     served.queue.put(RobotMessage(1, DATAGRAM, "udp/0", b"x", monotonic_ns(), port, 3))
     served.queue.put(put(1, b"last"))
     wait_for(lambda: served.robots[3].taken, LIMIT_S, "the last")
-    fates, _ = served.end()
+    fates, report = served.end()
     found = [(fate.src, fate.cause) for fate in fates if fate.kind == DATAGRAM]
     assert sorted(found) == [(1, Cause.DELIVERED), (1, Cause.RECEIVER), (3, Cause.RECEIVER)]
+    assert any("cannot be sent to 127.0.0.1:9: Message too long" in note for note in report.notes)
+
+
+def test_a_port_may_be_on_another_address_of_the_machine() -> None:
+    port = Port(1, 0, 3, "127.0.0.1", 9, "127.0.0.3")
+    served = Served([(1, 3)], (port,))
+    (bound,) = served.process._sockets.values()
+    assert bound.getsockname()[0] == "127.0.0.3"
+    served.end()
 
 
 _EVENTS = st.lists(st.tuples(st.integers(1, 3), st.sampled_from("ab"), st.booleans()), max_size=20)

@@ -85,7 +85,7 @@ def setup_of(
             target = udp_target(text)
             assert target is not None  # the schema has read it
             dst, host, to = target
-            ports.append(Port(i, int(port), names.index(dst) + 1, host, to))
+            ports.append(Port(i, int(port), names.index(dst) + 1, host, to, node.host))
     return Setup(
         config=scenario.netem_config,
         robots=tuple(

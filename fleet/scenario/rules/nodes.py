@@ -141,6 +141,11 @@ def _addresses(parts: Parts, report: Report) -> None:
             report.add((*path, "zenoh"), "has no effect without listen or connect", key=True)
 
 
+def _is_here(host: str) -> bool:
+    """Whether an address is one of the loopback."""
+    return host == "localhost" or host.startswith("127.")
+
+
 def _ports(parts: Parts, report: Report) -> None:
     spec, taken, links = parts.spec, dict[str, str](), set[tuple[str, str]]()
     assert spec.nodes is not None
@@ -162,6 +167,11 @@ def _ports(parts: Parts, report: Report) -> None:
             if not to and not any(t.partition(":")[0] == name for t in spec.nodes[dst].udp.values()):
                 hint = f"name the port of its program, as in {dst}:9100"
                 report.add(path, f"{dst} sends nothing to {name}, so nobody knows where its program is", hint)
+            back = any(t.partition(":")[0] == name for t in spec.nodes[dst].udp.values())
+            owner = dst if back else name  # whose port they leave from
+            if not _is_here(host) and _is_here(spec.nodes[owner].host):
+                hint = f"nodes.{owner}.host: 0.0.0.0, or an address of this machine that {host} reaches"
+                report.add(path, f"datagrams leave from {spec.nodes[owner].host}, which reaches no other host", hint)
             if host == "127.0.0.1" and any(str(to) in other.udp for other in spec.nodes.values()):
                 report.add(path, f"port {to} is ours", "datagrams leave to the port of a program")
             links.add((name, dst))

@@ -17,6 +17,7 @@ NAME = re.compile(r"(?=.{1,32}$)[A-Za-z][A-Za-z0-9_]*([.-][A-Za-z0-9_]+)*", re.A
 RESERVED = ("all", "bridge", "every", "halves", "isolate", "majority", "one", "ring")  # words where names stand
 _TOPICS = ("faults", "link", "run", "scene", "snapshot", "transforms", "uuv")  # first words of topics of the log
 _ENDPOINT = re.compile(r"(tcp|tls|udp|quic|ws|unixsock-stream)/\S+", re.ASCII)
+LOOPBACK = "127.0.0.1"
 _TARGET = re.compile(r"([A-Za-z][\w.-]{0,31})(?::(?:([^\s:]+):)?(\d{1,5}))?", re.ASCII)
 
 
@@ -73,7 +74,7 @@ def udp_target(text: str) -> tuple[str, str, int] | None:
     found = _TARGET.fullmatch(text)
     if found is None or (found[3] is not None and not 0 < int(found[3]) < 65_536):
         return None
-    return found[1], found[2] or "127.0.0.1", int(found[3] or 0)
+    return found[1], found[2] or LOOPBACK, int(found[3] or 0)
 
 
 class TopicPlace(Section):
@@ -94,7 +95,7 @@ class ModemPortSection(Section):
     # A WHOI Micro-Modem: a TCP port, or the path of a pseudo terminal that we make.
     micromodem: Annotated[int | str, BeforeValidator(_open_or_path)] | None = None
     evologics: Annotated[int, BeforeValidator(_open)] | None = None  # as EvoLogics has 9200; experimental
-    host: str = "127.0.0.1"  # the address that it listens on
+    host: str = LOOPBACK  # the address that it listens on
     address: Annotated[int, Field(ge=1, le=MOST_ADDRESS)] | None = None  # in the water; None: the number of the node
 
     @property
@@ -117,6 +118,7 @@ class Node(Section):
     zenoh: str | None = None  # a file of zenoh's configuration, for TLS and credentials
     # Datagrams to our port leave for a program of another node: "9000": auv2:9100, or auv2:HOST:9100, or auv2.
     udp: dict[Annotated[str, BeforeValidator(_port)], Annotated[str, BeforeValidator(_target)]] = {}
+    host: str = LOOPBACK  # the address of this machine on which its ports of `udp` are; 0.0.0.0: all
     modem: ModemPortSection | None = None
     place: TopicPlace | v.Position | None = None  # NED; in ROS topics ENU
 

@@ -247,6 +247,14 @@ def test_without_an_end_it_runs_until_it_is_stopped() -> None:
         ({"nodes": {**NODES, "d": {"udp": {"9000": "a:[::1]:9100"}}}}, "datagrams go to addresses of IPv4"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "a:::1:9100"}}}}, "expected a node and the port of its program"),
         ({"nodes": {**NODES, "d": {"udp": {"9000": "a:1", "9001": "a:2"}}}}, "the link d->a has a port already"),
+        (
+            {"nodes": {"a": {"udp": {"9000": "b:192.0.2.7:9100"}}, "b": {"udp": {"9001": "a:9101"}}}},
+            "nodes.a.udp.9000: datagrams leave from 127.0.0.1, which reaches no other host; nodes.b.host: 0.0.0.0",
+        ),
+        (
+            {"nodes": {"a": {"udp": {"9000": "b:192.0.2.7:9100"}}, "b": {}}},
+            "nodes.a.udp.9000: datagrams leave from 127.0.0.1, which reaches no other host; nodes.a.host: 0.0.0.0",
+        ),
     ],
 )
 def test_a_mistake_is_told(sections: dict[str, Any], expected: str) -> None:

@@ -59,8 +59,10 @@ _TYPED = "fleet.typed"
 
 
 def typed_command() -> str:
-    """The command line that was typed, as one for a shell."""
-    return f"fleet {shlex.join(click.get_current_context().meta[_TYPED])}"
+    """The command line that was typed, as one for a shell; of a command that is called from Python, its name."""
+    context = click.get_current_context()
+    typed = context.meta.get(_TYPED)
+    return f"fleet {shlex.join(typed)}" if typed is not None else context.command_path
 
 
 class FleetGroup(click.Group):

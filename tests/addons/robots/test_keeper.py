@@ -209,7 +209,7 @@ def test_numbers_are_told_that_lines_hold(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "begun")
     with keeping(tmp_path, {"run": run, "signals": signals, "folder": str(tmp_path)}) as kept:
         kept.tell(begin=monotonic_ns())
-        for _ in range(2):
+        for life in range(2):
             kept.started()
             for numbers in expected:
                 kept.said.clear()
@@ -219,7 +219,8 @@ def test_numbers_are_told_that_lines_hold(tmp_path: Path) -> None:
             (tmp_path / "begun").write_text("go\n")
             assert kept.wait("ended")["code"] == 0
             kept.said.clear()
-            kept.tell(again="m1")
+            if not life:  # else a third life sometimes begins before the end
+                kept.tell(again="m1")
         kept.stop()
     lines = (tmp_path / "m1.log").read_text().splitlines()
     assert [float(line.split()[0]) >= 0.0 for line in lines] == [True] * 11

@@ -290,6 +290,8 @@ def test_a_run_answers_while_its_programs_get_ready_and_says_what_its_end_ends(
         begun(run)
         wait_for(lambda: waits in tell(run, "status"), LIMIT_S, waits)
         tell(run, "inject", "down", "m1->m2")
+        if state != "docker":  # it is waited for before it has begun
+            wait_for(lambda: any("sleep" in one.name() for one in run.family()), LIMIT_S, "the program")
         run.family()
         if how == "stop":
             assert tell(run, "stop") == f"{run.directory.name}: stopping at t = 0.00 s\n"

@@ -344,7 +344,7 @@ class RelayProcess:
         for due in relay.handed(monotonic_ns()):
             if due.message.kind == DATAGRAM:
                 at_ns = monotonic_ns()
-                self._relay.late.add(at_ns - due.due_ns)
+                relay.late.add(at_ns - due.due_ns)
                 self._has_ended(due, at_ns, delivered=self._sent(due))
             elif due.message.kind == MODEM and (modem := self._modems.get(due.dst)) is not None:
                 self._heard(due, modem, relay)
@@ -358,7 +358,7 @@ class RelayProcess:
         else:
             modem.heard(frame)
         at_ns = monotonic_ns()
-        self._relay.late.add(at_ns - due.due_ns)
+        relay.late.add(at_ns - due.due_ns)
         self._has_ended(due, at_ns, delivered=True)
 
     def _offered(self, due: DueMessage) -> bool:
@@ -398,7 +398,7 @@ class RelayProcess:
             for due, at_ns, late_ns, kept_ns, delivered, problem in robot.outlet.outcomes():
                 if problem:
                     self._note(problem)
-                self._relay.late.add(late_ns)
+                self._giver(due).late.add(late_ns)
                 self._kept_ns[i] = max(kept_ns, self._kept_ns.get(i, 0))
                 self._has_ended(due, at_ns, delivered=delivered)
             for problem in robot.outlet.problems():
@@ -406,9 +406,12 @@ class RelayProcess:
 
     def _has_ended(self, due: DueMessage, at_ns: int, *, delivered: bool) -> None:
         self._untaken[due.dst] += not delivered
+        self._giver(due).settle(due, at_ns, delivered=delivered)
+
+    def _giver(self, due: DueMessage) -> Relay:
+        """The relay that has given out a message: that of the time before t = 0 counts for no result."""
         before = self._rehearsal
-        relay = before if before is not None and before.gave(due) else self._relay
-        relay.settle(due, at_ns, delivered=delivered)
+        return before if before is not None and before.gave(due) else self._relay
 
     def _linked(self, link: robots.Linked) -> None:
         robot = self._robots[link.robot]

@@ -139,11 +139,10 @@ class Robot:
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
+        carry = () if access.silent else carry
         # Advanced publishers, as those of transient local topics, answer below their key; ** does not include @.
         below = [f"{key.removesuffix('/**').removesuffix('**')}/**/@adv/**" for key in carry if "@" not in key]
         self._carry = [zenoh.KeyExpr(text) for text in (*carry, *(key.removeprefix("/") for key in below))]
-        if access.silent:
-            self._carry = []
         self._held: list[Any] = []
 
     def begin(self) -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable
 from textwrap import dedent
-from typing import Any
 
-import fleet
-from fleet.result.result import Result, Status
+from fleet.result.result import Result
 
 RunProgram = Callable[..., Result]
 
@@ -37,19 +34,3 @@ def lines(result: Result, agent: int = 1) -> list[str]:
     assert result.directory is not None
     text = (result.directory / "log" / f"agent-{agent}.log").read_text("utf-8")
     return [line.partition(" ")[2] for line in text.splitlines()]
-
-
-def same_bytes(folder: Path, text: str, changes: Mapping[str, Any] | None = None) -> bool:
-    """Whether a program in the current folder has the same log and lines in one process and in processes of its own."""
-    from fleet.execution.execute import execute
-    from fleet.execution.options import Options
-    from fleet.scenario.loading import load_scenario
-
-    changes = changes or {}
-    (folder / "own.yaml").write_text(scenario())
-    (folder / "program.py").write_text(dedent(text))
-    in_process = fleet.run("own.yaml", out=folder / "runs", set=changes)
-    sets = [f"{key}={value}" for key, value in changes.items()]
-    distributed = execute(load_scenario("own.yaml", sets), Options(folder / "runs", quiet=True))
-    assert distributed.status is Status.PASS, (distributed.reason, distributed.lines)
-    return distributed.digest == in_process.digest and lines(distributed) == lines(in_process)

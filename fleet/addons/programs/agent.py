@@ -41,14 +41,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     Raises:
         PluginError: there is no such parameter, or one has no meaning, or the program cannot run here.
     """
-    for key, value in parameters.items():
-        if key in _PARAMETERS:
-            continue
-        if key in _OF_BEFORE and (_OF_BEFORE[key] is None or value in (_OF_BEFORE[key] or ())):
-            continue
-        if key in _GONE:
-            raise _wrong(path, f"{key}: {_GONE[key]}", "remove the key")
-        raise _wrong(path, f"there is no key {key!r}", f"known: {', '.join(_PARAMETERS)}")
+    _check_keys(path, parameters)
     lines = tuple(_line_signal(path, name, about) for name, about in dict(parameters.get("signals") or {}).items())
     setup = _setup(path, parameters.get("setup"))
     python = "python3" if setup else own_python()
@@ -64,6 +57,40 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         raise _wrong(
             path, "it cannot be executed", "chmod +x, or say by which interpreter, such as `interpreter: node`"
         )
+    _check_values(path, parameters)
+    node = (*setup, (interpreter if setup else found) or python, str(_ROS_VEHICLE)) if parameters.get("vehicle") else ()
+    try:
+        compiled()
+    except NoLibraryError as error:
+        raise _wrong(path, str(error)) from None
+
+    module = str(parameters.get("module") or "")  # its folder is the one in which its package lies
+    variables_of_module = {"PYTHONPATH": str(path.resolve().parents[module.count(".")])} if module else {}
+    words = ("-m", module) if module else (str(path),)
+
+    class Program(ProcessAgent):
+        plugin_file = path
+        command = (*setup, *((interpreter if setup else found, *words) if found else words))
+        variables = variables_of_module
+        beside = node
+        reads = lines
+        signals = tuple(Signal(each.name, "1", "as the program printed it last") for each in lines)
+
+    return Program
+
+
+def _check_keys(path: Path, parameters: Mapping[str, Any]) -> None:
+    for key, value in parameters.items():
+        if key in _PARAMETERS:
+            continue
+        if key in _OF_BEFORE and (_OF_BEFORE[key] is None or value in (_OF_BEFORE[key] or ())):
+            continue
+        if key in _GONE:
+            raise _wrong(path, f"{key}: {_GONE[key]}", "remove the key")
+        raise _wrong(path, f"there is no key {key!r}", f"known: {', '.join(_PARAMETERS)}")
+
+
+def _check_values(path: Path, parameters: Mapping[str, Any]) -> None:
     folder = path.parent
     files = parameters.get("files") or ()
     if not isinstance(files, list | tuple) or not all(isinstance(each, str) for each in files):
@@ -87,25 +114,6 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         raise _wrong(
             path, f"vehicle: expected ros2, got {vehicle!r}", "others need no key: the guide says what they hear"
         )
-    node = (*setup, (interpreter if setup else found) or python, str(_ROS_VEHICLE)) if vehicle else ()
-    try:
-        compiled()
-    except NoLibraryError as error:
-        raise _wrong(path, str(error)) from None
-
-    module = str(parameters.get("module") or "")  # its folder is the one in which its package lies
-    variables_of_module = {"PYTHONPATH": str(path.resolve().parents[module.count(".")])} if module else {}
-    words = ("-m", module) if module else (str(path),)
-
-    class Program(ProcessAgent):
-        plugin_file = path
-        command = (*setup, *((interpreter if setup else found, *words) if found else words))
-        variables = variables_of_module
-        beside = node
-        reads = lines
-        signals = tuple(Signal(each.name, "1", "as the program printed it last") for each in lines)
-
-    return Program
 
 
 def _setup(path: Path, name: Any) -> tuple[str, ...]:

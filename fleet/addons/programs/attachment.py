@@ -36,7 +36,7 @@ def attached(to: Attachment) -> Iterator[None]:
 
 
 def attachment(agent: int) -> Attachment | None:
-    """What is asked for the program of an agent; None: nothing."""
+    """Who sits at the program of an agent; None: nobody does."""
     return _now if _now is not None and _now.agent == agent else None
 
 

@@ -75,8 +75,8 @@ class ProcessAgent:
         """
         self._config, self._tick_ns = config, config.tick_ns
         words = {"id": config.id, "seed": config.seed, "zenoh": _ENDPOINT}
-        self._words = [_filled(word, words) for word in (*self.command, *map(str, arguments))]
-        self._words = [_ENDPOINT if word == "tcp/unused" else word for word in self._words]  # scenarios of 1.0 say so
+        given = ("{zenoh}" if word == "tcp/unused" else str(word) for word in arguments)  # scenarios of 1.0 say so
+        self._words = [_filled(word, words) for word in (*self.command, *given)]
         self._environment = dict(self.variables) | {
             key: _filled(str(value), words) for key, value in (env or {}).items()
         }
@@ -210,7 +210,7 @@ class _Life:
         self._beside, self._environment = beside, environment
         self._node: int | None = None  # the family of the program beside it
         self._out: deque[bytes] = deque()
-        self._queued, self._dropped, self._number = 0, 0, 0
+        self._queued, self._number = 0, 0
         self._fragments = Fragments()
         self.over = self._begun = False
         self._last_ns = 0
@@ -248,13 +248,12 @@ class _Life:
                 self._hear(delivery)
             return []
         processes, streams = self.processes, self.streams
-        if self._begun and not packets and not streams.busy and nav is None and processes.soonest_ns > now_ns:
-            self._last_ns = now_ns
-            return []  # as in most ticks
-        said: list[tuple[int, str, str]] = []
         # A fault has paused it, as SIGSTOP does: its timers are late, and all at once.
         stood = self._begun and now_ns - self._last_ns > self._config.tick_ns
         self._last_ns = now_ns
+        if self._begun and not packets and not streams.busy and nav is None and processes.soonest_ns > now_ns:
+            return []  # as in most ticks
+        said: list[tuple[int, str, str]] = []
         try:
             if stood:
                 processes.jump(now_ns)
@@ -331,8 +330,7 @@ class _Life:
 
     def _put(self, payload: bytes) -> None:
         if self._queued + len(payload) > MOST_QUEUED:
-            self._dropped += 1
-            return
+            return  # as in a full network card
         self._out.append(payload)
         self._queued += len(payload)
 

@@ -132,7 +132,6 @@ class Processes:
             self._flags |= _HAS_TERMINAL
         self._closed = False
         self._home = Home(files, agent, agents, epoch_ns, processors, disk, disk_before)
-        self.home = self._home.path
         self._processes: dict[int, Process] = {}
         self._ports = Ports()
         self._next_pid = 1000 + agent
@@ -177,7 +176,7 @@ class Processes:
         variables = _environment(self._seed) | dict(environment)
         at_terminal = bool(self._flags & _HAS_TERMINAL) and not self._popens
         outputs = ("-", "-") if at_terminal else (out, err)
-        start = [launcher, its.fileno(), *outputs, self.home, library, MEMORY_MB, self._owner, "--", *command]
+        start = [launcher, its.fileno(), *outputs, self._home.path, library, MEMORY_MB, self._owner, "--", *command]
         try:
             popen = subprocess.Popen(
                 [*map(str, start)],
@@ -210,7 +209,7 @@ class Processes:
         head = _CONFIGURATION.pack(
             *numbers, process.pid, process.parent or 1, self._agent, prefix, self._agents, self._flags
         )
-        return head + b"\0".join([os.fsencode(self.home), *map(os.fsencode, self._visible)]) + b"\0\0"
+        return head + b"\0".join([os.fsencode(self._home.path), *map(os.fsencode, self._visible)]) + b"\0\0"
 
     # What the agent calls.
 

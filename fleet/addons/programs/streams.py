@@ -73,8 +73,8 @@ class Streams:
             agent: the own number.
             send: sends a segment to another agent.
             deliver: hands a message to one of the program's processes, or to all.
-            unanswered: asked with the port of an own address on which nobody listens: whether the call waits until
-                `call_again`, and is not refused.
+            unanswered: says of a port on which nobody of the program listens whether a call waits there, until
+                `call_again`. Other calls are refused.
         """
         self._agent, self._send, self._deliver, self._unanswered = agent, send, deliver, unanswered
         self._waiting: dict[int, bytes] = {}  # calls of own processes that wait for somebody who listens

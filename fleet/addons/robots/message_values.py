@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import reprlib
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -14,6 +13,7 @@ from fleet.addons.robots.ros2.rmw import read_key
 from fleet.addons.robots.ros2.types import types_of
 from fleet.errors import FleetError
 from fleet.scenario.schema.programs import StackSignalSection, path_of, struct_of
+from world.plugins.fence import shown
 
 
 class NoNumber(FleetError):
@@ -32,15 +32,7 @@ def number_at(value: Any, path: list[str | int]) -> float:
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise NoNumber(f"expected a number, got {_shown(value):.40}") from None
-
-
-def _shown(value: Any) -> str:
-    """A stranger's value in words. It may be nested deeper, or have more digits, than Python shows."""
-    try:
-        return reprlib.repr(value)
-    except (RecursionError, ValueError):
-        return f"a {type(value).__name__}"
+        raise NoNumber(f"expected a number, got {shown(value):.40}") from None
 
 
 def reader(section: StackSignalSection) -> Callable[[str, bytes], float]:

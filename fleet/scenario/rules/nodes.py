@@ -164,10 +164,10 @@ def _ports(parts: Parts, report: Report) -> None:
                 report.add(path, f"the link {name}->{dst} has a port already", "a directed link has one port")
             if (first := taken.setdefault(port, name)) != name:
                 report.add(path, f"{first} has port {port}, too")
-            if not to and not any(t.partition(":")[0] == name for t in spec.nodes[dst].udp.values()):
+            back = any(t.partition(":")[0] == name for t in spec.nodes[dst].udp.values())
+            if not to and not back:
                 hint = f"name the port of its program, as in {dst}:9100"
                 report.add(path, f"{dst} sends nothing to {name}, so nobody knows where its program is", hint)
-            back = any(t.partition(":")[0] == name for t in spec.nodes[dst].udp.values())
             owner = dst if back else name  # whose port they leave from
             if not _is_here(host) and _is_here(spec.nodes[owner].host):
                 hint = f"nodes.{owner}.host: 0.0.0.0, or an address of this machine that {host} reaches"

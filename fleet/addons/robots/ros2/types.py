@@ -57,10 +57,6 @@ class RosTypes:
         self._register(f"{name}_Event", _EVENT.format(name))
         self._register(name, _SERVICE.format(name))
 
-    def add_message(self, name: str, text: str) -> None:
-        """A message type, such as `example_interfaces/msg/String`, by its definition."""
-        self._register(name, text)
-
     def _register(self, name: str, text: str) -> None:
         """A type by its definition; rosbags knows messages only, and reads those of services when they are told so."""
         from rosbags.typesys import get_types_from_msg

@@ -1,36 +1,51 @@
-"""Hidden Markov models of losses: each hidden state loses packets with a probability of its own."""
+"""Hidden Markov models of a link: each hidden state has a probability of loss, and a delay, of its own."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isqrt
-from typing import Any
+from math import isqrt, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
-# With two states this is the model of Gilbert (1960) and Elliott (1963). The parameters are fitted by expectation
-# maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, equations 37 to 40).
+# With two states and losses alone this is the model of Gilbert (1960) and Elliott (1963). The parameters are fitted by
+# expectation maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, equations 37 to 40).
 #
 # | symbol | meaning | shape |
 # |---|---|---|
 # | N, S | packets, states | |
 # | y_n | whether packet n was lost | (N,) |
+# | d_n | delay of packet n; nan: not known, as of one that was lost | (N,) |
 # | A | A_ij: probability that the next packet meets state j, after one in state i | (S, S) |
 # | e | probability that a packet is lost in each state | (S,) |
+# | mu, sd | mean and standard deviation of the delay in each state | (S,) |
+# | b_ni | probability (density) of what is known of packet n in state i | (N, S) |
 # | pi | distribution of the state one packet before the first | (S,) |
 # | gamma_ni | probability of state i at packet n, given all packets | (N, S) |
 #
+# Delays must take part: found by losses alone, states mix packets of both, and the long delays of a bad state are
+# averaged away. The delay of a state is normal, as that of the condition is; a heavy tail takes a state of its own.
+#
 # The recursions run over blocks of about sqrt(N) packets. A block maps the distribution before it to the one after it
-# by a matrix. So all blocks advance together, and only their matrices are applied one after the other.
+# by a matrix. So all blocks advance together, and only their matrices are applied one after the other. (hmmlearn has
+# neither this mixed emission nor missing values: we should write all but the recursions, and need scikit-learn.)
 
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 _FIRST_STEPS, _MOST_STEPS = 30, 500  # from every place where the search begins; from the best of them
 _ENOUGH = 1e-4  # of the logarithm of the likelihood: a step that gains less is the last
 _LEAST = 1e-9  # of every probability, so that no state dies while it is looked for
+_NARROWEST = 0.01  # sd of a state, of that of all packets: equal delays would have an endless density
 # Where the search begins: the probability to stay in a state, and by which factors states lose less or more than all.
 _STAYS = (0.8, 0.95, 0.99)
 _FACTORS = {1: ((1.0,),), 2: ((0.2, 2.0), (0.5, 5.0)), 3: ((0.1, 1.0, 3.0), (0.2, 1.5, 8.0))}
+
+
+class _Delays(NamedTuple):
+    """Normal delays of each state."""
+
+    mean: Array  # mu
+    sd: Array
 
 
 @dataclass(frozen=True)
@@ -40,6 +55,7 @@ class HiddenMarkov:
     moves: Array  # A
     lost: Array  # e
     first: Array  # pi
+    delays: _Delays | None  # None: no packet has a delay
     log_likelihood: float
     posterior: Array  # gamma
 
@@ -51,6 +67,7 @@ class HiddenMarkov:
     def bic(self) -> float:
         """The information criterion of Bayes and Schwarz: the less, the better."""
         parameters = self.states * self.states if self.states > 1 else 1  # losses, and S - 1 moves of each state
+        parameters += 0 if self.delays is None else 2 * self.states
         return parameters * float(np.log(len(self.posterior))) - 2.0 * self.log_likelihood
 
     def stationary(self) -> Array:
@@ -81,17 +98,28 @@ class HiddenMarkov:
         return survival, mean
 
 
-def fit_losses(lost: Array, states: int) -> HiddenMarkov:
-    """The model of 1 (independent losses), 2 or 3 states with the largest likelihood that the search finds from a few
-    fixed places. `lost`: of each packet, shape (N,), N >= 1; some and not all.
+def fit_states(lost: Array, delay: Array, states: int) -> HiddenMarkov:
+    """Fit the model with the largest likelihood that the search finds from a few fixed places.
+
+    Args:
+        lost: whether each packet was lost, shape (N,), N >= 1; some were and not all.
+        delay: of each packet, shape (N,), in any unit; nan where it is not known.
+        states: 1 (independent losses), 2 or 3.
     """
-    places = [_begin(lost, stay, factors) for factors in _FACTORS[states] for stay in _STAYS]
-    found = [_improve(lost, *place, _FIRST_STEPS) for place in places]
+    known = ~np.isnan(delay)
+    places = [
+        (*_begin(lost, stay, factors), delays)
+        for factors in _FACTORS[states]
+        for stay in _STAYS
+        for delays in (_split(delay[known], states) if known.any() else [None])
+    ]
+    found = [_improve(lost, delay, *place, _FIRST_STEPS) for place in places]
     best = max(found, key=lambda model: model.log_likelihood)
-    best = _improve(lost, best.moves, best.lost, best.first, _MOST_STEPS)
+    best = _improve(lost, delay, best.moves, best.lost, best.first, best.delays, _MOST_STEPS)
     order = np.argsort(best.lost, kind="stable")
     moves, posterior = best.moves[np.ix_(order, order)], best.posterior[:, order]
-    return HiddenMarkov(moves, best.lost[order], best.first[order], best.log_likelihood, posterior)
+    delays = best.delays and _Delays(best.delays.mean[order], best.delays.sd[order])
+    return HiddenMarkov(moves, best.lost[order], best.first[order], delays, best.log_likelihood, posterior)
 
 
 def _begin(lost: Array, stay: float, factors: tuple[float, ...]) -> tuple[Array, Array, Array]:
@@ -102,17 +130,53 @@ def _begin(lost: Array, stay: float, factors: tuple[float, ...]) -> tuple[Array,
     return moves, np.clip(np.mean(lost) * np.array(factors), 1e-3, 0.95), np.full(count, 1.0 / count)
 
 
-def _improve(lost: Array, moves: Array, loses: Array, first: Array, steps: int) -> HiddenMarkov:
+def _split(known: Array, states: int) -> list[_Delays]:
+    """Where the search begins for delays: all alike, so that losses decide; long where much is lost, or little."""
+    spread = float(np.std(known))
+    alike = _Delays(np.full(states, np.mean(known)), np.full(states, spread or 1.0))
+    if states == 1 or not spread:
+        return [alike]
+    rising = np.quantile(known, (np.arange(states) + 0.5) / states)
+    return [alike, *(_Delays(mean, np.full(states, spread / states)) for mean in (rising, rising[::-1]))]
+
+
+def _improve(
+    lost: Array, delay: Array, moves: Array, loses: Array, first: Array, delays: _Delays | None, steps: int
+) -> HiddenMarkov:
+    known = ~np.isnan(delay)
+    narrowest = _NARROWEST * (float(np.std(delay[known])) or 1.0) if known.any() else 0.0
     before = -np.inf
     for step in range(steps + 1):
-        likelihood, first_after, posterior, pairs = _expect(lost, moves, loses, first)
+        told = _emission(lost, delay, loses, delays)
+        likelihood, first_after, posterior, pairs = _expect(told, moves, first)
         if likelihood - before < _ENOUGH or step == steps:
             break
         before = likelihood
         moves = _normalised(pairs)
         loses = np.clip(lost @ posterior / posterior.sum(axis=0), _LEAST, 1.0 - _LEAST)
         first = _normalised(first_after)
-    return HiddenMarkov(moves, loses, first, likelihood, posterior)
+        if delays is not None:
+            delays = _delays(delay[known], posterior[known], narrowest)
+    return HiddenMarkov(moves, loses, first, delays, likelihood, posterior)
+
+
+def _emission(lost: Array, delay: Array, loses: Array, delays: _Delays | None) -> Array:
+    """b, shape (N, S)."""
+    told: Array = np.where(lost[:, None] > 0.5, loses, 1.0 - loses)
+    if delays is not None:
+        off = (delay[:, None] - delays.mean) / delays.sd
+        # A delay that fits no state must not end the search, and may not choose one by what is left of a rounded zero.
+        density = np.exp(-0.5 * np.minimum(off * off, 600.0)) / (delays.sd * sqrt(2.0 * np.pi))
+        told = told * np.where(np.isnan(delay)[:, None], 1.0, density)
+    return told
+
+
+def _delays(known: Array, weights: Array, narrowest: float) -> _Delays:
+    """The delays of each state: moments of the known ones, each by its probability, weights of shape (known, S)."""
+    weights = weights + _LEAST
+    mean = known @ weights / weights.sum(axis=0)
+    variance = ((known[:, None] - mean) ** 2 * weights).sum(axis=0) / weights.sum(axis=0)
+    return _Delays(mean, np.maximum(np.sqrt(variance), narrowest))
 
 
 def _normalised(weights: Array) -> Array:
@@ -121,13 +185,13 @@ def _normalised(weights: Array) -> Array:
     return normalised
 
 
-def _expect(lost: Array, moves: Array, loses: Array, first: Array) -> tuple[float, Array, Array, Array]:
+def _expect(b: Array, moves: Array, first: Array) -> tuple[float, Array, Array, Array]:
     """Logarithm of the likelihood, gamma before the first packet, gamma, and how often i moves to j, shape (S, S)."""
-    total, count = len(lost), len(loses)
+    total, count = b.shape
     length = isqrt(total - 1) + 1
     blocks = -(-total // length)
     told = np.ones((blocks * length, count))  # what is behind the last packet tells nothing
-    told[:total] = np.where(lost[:, None] > 0.5, loses, 1.0 - loses)
+    told[:total] = b
     emits = told.reshape(blocks, length, count).swapaxes(0, 1)  # (length, blocks, S)
 
     product = np.tile(np.eye(count), (blocks, 1, 1))  # what each block makes of what is before it

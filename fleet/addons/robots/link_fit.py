@@ -1,4 +1,4 @@
-"""`fleet fit`: the link states of a scenario that lose packets as a trace did."""
+"""`fleet fit`: the link states of a scenario that lose and delay packets as a trace did."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fleet.addons.robots.hidden_markov import Array, HiddenMarkov, fit_losses
+from fleet.addons.robots.hidden_markov import Array, HiddenMarkov, fit_states
 from fleet.errors import FleetError
 from fleet.quantities import show_time
 from fleet.scenario.sections.trace_table import TraceTable
@@ -58,7 +58,7 @@ def runs(flags: Array) -> Array:
 
 
 def fit(table: TraceTable, count: int, interval_ns: int | None = None) -> LinkFit:
-    """Fit states to what a trace says was delivered; delays and rates are means over the packets of each state.
+    """Fit states to what a trace says was delivered and how late; rates are means over the packets of each state.
     `count`: of states, 1 (one condition) to 3. `interval_ns`: between two packets; None: the median of those in the
     trace. Raises FleetError if the trace does not say what was delivered, or when; it is too short, or its losses come
     alone.
@@ -72,7 +72,10 @@ def fit(table: TraceTable, count: int, interval_ns: int | None = None) -> LinkFi
         hint = "; --states 1 takes a trace without losses" if count > 1 and not lost.any() else ""
         raise FleetError(f"expected at least {LEAST_PACKETS} packets, {expected}; got {what}{hint}")
     interval, uneven = (interval_ns, False) if interval_ns is not None else _interval(table)
-    model, independent = fit_losses(lost, count), fit_losses(lost, 1)
+    delay = np.array(
+        [np.nan if row.delay_ns is None or not row.delivered else row.delay_ns / 1e9 for row in table.rows]
+    )
+    model, independent = fit_states(lost, delay, count), fit_states(lost, delay, 1)
     generator, lag = _generator(model)
     leave = np.maximum(-np.diag(generator), _FAST)
     mean = [min(_MOST_DAYS_NS, _rounded(interval / rate)) for rate in leave.tolist()]

@@ -81,9 +81,10 @@ def summary(timing: Timing) -> str:
 
 
 def punctual(found: Punctual, asked: PunctualCheck | None) -> Verdict:
-    """Whether a network of nodes handed messages over when they were due, and took them when they came: what is late
-    here, the host has delayed, and not the network that was asked for. Messages and probes are judged together, by the
-    lower end of the share's interval, so that two late ones of few fail nothing.
+    """Whether a network of nodes handed messages over when they were due, and took them when they came, and whether its
+    programs got a processor when they could run: what is late here, the host has delayed, and not the network that was
+    asked for. Messages and probes are judged together, and the programs of each node, by the lower end of the share's
+    interval, so that two late ones of few fail nothing.
     """
     asked = asked or PunctualCheck()
     limit_ms = asked.late / 1e6
@@ -95,8 +96,19 @@ def punctual(found: Punctual, asked: PunctualCheck | None) -> Verdict:
     said = f"{share:.2%} of this process, at least {least:.2%}; handed over {late.p50_ms:.2g} ms (p50), "
     said += f"{late.p99_ms:.2g} ms (p99), {late.max_ms:.3g} ms (worst) after the due time; "
     said += f"taken within {came.p99_ms:.2g} ms (p99)"
+    if found.programs:
+        node, delayed, low = max((_delayed(*item, limit_ms) for item in found.programs.items()), key=lambda row: row[2])
+        said += f"; programs of {node} waited longer for a processor in {delayed:.2%} of the times in which they ran, "
+        said += f"at least {low:.2%}"
+        least = max(least, low)
     verdict = Verdict("punctual", least <= asked.at_most, words, said, least, asked.at_most, "1")
     return verdict.with_margin(asked.at_most - least, "1")
+
+
+def _delayed(node: str, waits: Spread, limit_ms: float) -> tuple[str, float, float]:
+    """A node, how much of the time its programs were delayed, and the lower end of the interval of that share."""
+    share = later(waits, limit_ms)
+    return node, share, wilson_low(share * waits.count, waits.count)
 
 
 def wilson_low(hits: float, count: int) -> float:

@@ -90,3 +90,7 @@ class Punctual(Struct):
 
     late: Annotated[Spread, Meta(description="How much later than due messages were handed over.")]
     came: Annotated[Spread, Meta(description="How long what came waited for the relay, by probes.")]
+    programs: Annotated[
+        dict[str, Spread],
+        Meta(description="By node: how long a thread of its programs waited for a processor, in each 50 ms."),
+    ] = {}

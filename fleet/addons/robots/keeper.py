@@ -28,6 +28,8 @@ from typing import Any, TextIO
 
 MARK_NS = 20_000_000  # how often the console is told up to when it knows everything
 PORT_NS = 50_000_000  # how often a port is tried
+WAITS_NS = 50_000_000  # how often it is read how long threads have waited for a processor
+TREES_NS = 10**9  # how often it is looked which processes the programs have started
 MOST_LINE = 65_536  # bytes; a longer line is cut
 MOST_LOG = 16 * 2**20  # bytes of one program that are kept; so it cannot fill the disk
 MOST_READ = 1 << 16  # a pipe holds no more, so that one reading takes all that was in it
@@ -61,6 +63,7 @@ class Keeper:
         self._by_pid: dict[int, Program] = {}
         self._commands = b""
         self._marked_ns = 0
+        self._waits = Waits()
         os.set_blocking(0, False)
         os.set_blocking(1, False)
         self._selector.register(0, selectors.EVENT_READ, self._hear)
@@ -75,6 +78,7 @@ class Keeper:
                 if now - self._marked_ns >= MARK_NS:
                     self._marked_ns = now
                     self.say(until=now)
+                    self._measure(now)
                 self._reap()
         except EOFError:
             self._out.clear()
@@ -107,6 +111,12 @@ class Keeper:
                 del self._out[: os.write(1, self._out)]
         for key, _ in self._selector.select(min(wait_ns, 10_000_000 if self._out else wait_ns) / 1e9):
             key.data()
+
+    def _measure(self, now: int) -> None:
+        """Tell how long the programs have waited for a processor since tick 0."""
+        has_begun = self.begin_ns is not None and self.begin_ns <= now
+        if has_begun and not self.stopping and (waits := self._waits.look(self._programs)):
+            self.say(waits=waits)
 
     def _hear(self) -> None:
         data = os.read(0, MOST_READ)
@@ -142,12 +152,64 @@ class Keeper:
                 os.waitpid(-1, 0)
 
 
+class Waits:
+    """How long threads of programs that could run have waited for a processor, as the kernel tells it.
+
+    A program that waits is late, and its messages with it, and no relay can see that: to it they come late. The kernel
+    has a sum for each thread, so what a thread has waited between two looks counts as one wait. A share of all times
+    that a thread got a processor was tried first: a message passes several threads, and each gets a processor several
+    times, so that 31 % late messages were 2 % of these. A thread that computes all the time and shares its processor
+    counts as one that waits, as it does.
+    """
+
+    def __init__(self) -> None:
+        self._next_ns = self._seen_ns = 0
+        self._trees: dict[str, list[int]] = {}  # by node
+        self._known: dict[tuple[int, int], tuple[int, int]] | None = None  # by process and thread: waited [ns], slices
+
+    def look(self, programs: list[Program]) -> dict[str, int]:
+        """By node of which some thread ran since the last look: the longest that one of them has waited [ns]."""
+        now = monotonic_ns()
+        if now < self._next_ns:
+            return {}
+        if now - self._seen_ns >= TREES_NS:
+            self._seen_ns, all_now = now, processes()
+            self._trees = {}
+            for one in programs:
+                if one.process is not None:
+                    pid = one.process.pid
+                    self._trees.setdefault(one.node, []).extend(descendants([pid], session=pid, among=all_now))
+        found: dict[str, int] = {}
+        known, before = {}, self._known
+        for node, pids in self._trees.items():
+            for thread, (waited_ns, slices) in _threads(pids):
+                known[thread] = waited_ns, slices
+                if before is None:
+                    continue
+                old_ns, old = before.get(thread, (0, 0))
+                if slices > old:
+                    found[node] = max(found.get(node, 0), waited_ns - old_ns)
+        self._known = known
+        self._next_ns = now + max(WAITS_NS, 50 * (monotonic_ns() - now))  # so that it takes two percent at most
+        return found
+
+
+def _threads(pids: list[int]) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    """Of each thread: process and number, how long it has waited [ns], and how often it got a processor."""
+    for pid in pids:
+        with suppress(OSError, ValueError):
+            for thread in os.listdir(f"/proc/{pid}/task"):
+                with open(f"/proc/{pid}/task/{thread}/schedstat", encoding="ascii") as file:
+                    _, waited_ns, slices = map(int, file.read().split())
+                yield (pid, int(thread)), (waited_ns, slices)
+
+
 class Program:
     """One program, life after life."""
 
     def __init__(self, keeper: Keeper, values: dict[str, Any]) -> None:
         self._keeper, self._values = keeper, values
-        self.name, self._node = values["name"], values["node"]
+        self.name, self.node = values["name"], values["node"]
         self.process: Any = None
         self._ready_ns: int | None = None  # when it became ready
         self._started_ns = 0
@@ -171,9 +233,9 @@ class Program:
     def plan(self, command: dict[str, Any], now: int) -> None:
         """Take what the console wants of it."""
         if "dead" in command:
-            self._dead = command["dead"].get(self._node, [])
-            self._held = command["paused"].get(self._node, [])
-        if command.get("again") == self._node:
+            self._dead = command["dead"].get(self.node, [])
+            self._held = command["paused"].get(self.node, [])
+        if command.get("again") == self.node:
             self._over = False
         if command.get("stop") and self.process is not None and self._stop_ns is None:
             self._stop_ns = now + self._values["stop_within_ns"]
@@ -285,7 +347,7 @@ class Program:
     def _tell(self) -> None:
         """Tell what the lines that were there at a time said last, or a flood of them would hold up the console."""
         for number, (at, value) in self._told.items():
-            self._keeper.say(at=at, told=self._node, signal=number, value=value)
+            self._keeper.say(at=at, told=self.node, signal=number, value=value)
         self._told.clear()
 
     def _hear(self, data: bytes) -> None:
@@ -351,10 +413,9 @@ def _holds(spans: list[list[int | None]], now: int) -> bool:
     return any((begin or 0) <= now and (end is None or now < end) for begin, end in spans)
 
 
-def descendants(roots: list[int], session: int | None = None) -> Iterator[int]:
-    """The processes below some, and those of a session, with its root. None of them is a zombie."""
-    parents: dict[int, int] = {}
-    found = set(roots) if session is None else set()
+def processes() -> dict[int, tuple[int, int]]:
+    """Parent and session of every process that is no zombie."""
+    found = {}
     for name in os.listdir("/proc"):
         if not name.isdigit():
             continue
@@ -362,12 +423,19 @@ def descendants(roots: list[int], session: int | None = None) -> Iterator[int]:
             state, parent, _, of = file.read().rpartition(")")[2].split()[:4]
             if state in "ZX":
                 continue
-            parents[int(name)] = int(parent)
-            if session is not None and int(of) == session:
-                found.add(int(name))
+            found[int(name)] = int(parent), int(of)
+    return found
+
+
+def descendants(
+    roots: list[int], session: int | None = None, among: dict[int, tuple[int, int]] | None = None
+) -> Iterator[int]:
+    """The processes below some, and those of a session, with its root. `among`: what is known; None: look."""
+    among = processes() if among is None else among
+    found = set(roots) if session is None else {pid for pid, (_, of) in among.items() if of == session}
     more = True
     while more:
-        below = {pid for pid, parent in parents.items() if parent in found and pid not in found}
+        below = {pid for pid, (parent, _) in among.items() if parent in found and pid not in found}
         found |= below
         more = bool(below)
     yield from sorted(found - set(roots) if session is None else found)

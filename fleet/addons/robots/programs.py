@@ -28,6 +28,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.programs import DONE, ProgramSection, filled, programs_of, wanted
 from fleet.scenario.sections.node_signals import told_by
 from netem.fault_kinds import WorldFaultKind
+from netem.histogram import Histogram
 from netem.relay_messages import Watched, WatchedMessage
 from netem.relay_process import MOST_NOTES
 from netem.wire.messages import WorldFault
@@ -106,6 +107,7 @@ class Programs:
         self._unread: set[int] = set()  # what is watched and has had a message without a number
         self._spoken: set[str] = set()  # the signals of which some node has told a number
         self.cpu_s = 0.0
+        self._waits: dict[str, Histogram] = {}  # for a processor, by node
         self.said: list[Ended] = []  # since the last frame
         self._over_ns = 2**63
         self._sessions: set[int] = set()  # of all programs that were started: each is the leader of one
@@ -253,6 +255,9 @@ class Programs:
             self.known_ns = said["until"]
         elif "cpu_s" in said:
             self.cpu_s = said["cpu_s"]
+        elif "waits" in said:
+            for node, ns in said["waits"].items():
+                self._waits.setdefault(node, Histogram()).add(ns)
         else:
             self._put(said["at"], said)
 
@@ -346,6 +351,10 @@ class Programs:
     def _tail_of(self, state: ProgramState, most: int = keeper.TAIL) -> list[str]:
         lines = state.tail[-most:] or ["(nothing printed)"]
         return [f"last lines of {self._log_of(state)}:", *(f"  {line}" for line in lines)]
+
+    def waits(self) -> dict[str, Any]:
+        """How long threads of programs waited for a processor, by node."""
+        return {node: waits.to_values() for node, waits in self._waits.items()}
 
     def values(self, node: int) -> tuple[float, ...] | None:
         """What a node has told last, in the order of its signals; None: it has no program that runs and is ready."""

@@ -195,6 +195,8 @@ class RelayRun:
         finally:
             with holding_interrupts() as came:  # otherwise processes stay, and an open session keeps us from ending
                 self._programs.close(came)
+                if self.closing.timing:
+                    self.closing.timing["programs"] = self._programs.waits()
                 self.notes += self._programs.notes
                 if self._programs.states:
                     self.closing.cpu_s = self._relay_cpu_s + self._programs.cpu_s + time.process_time()

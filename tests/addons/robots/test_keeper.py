@@ -395,3 +395,26 @@ def test_a_program_has_the_signals_and_the_nice_value_of_a_shell(tmp_path: Path)
 def test_a_keeper_that_is_told_nothing_ends() -> None:
     words = [sys.executable, "-I", keeper.__file__]
     assert subprocess.run(words, stdin=subprocess.DEVNULL, check=False, timeout=LIMIT_S).returncode == 0
+
+
+def test_the_longest_wait_of_a_thread_between_two_looks_is_that_of_its_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sums of the kernel become waits: of threads that ran since, also of those that are new."""
+    sums = [{(1, 1): (5_000, 3), (1, 2): (0, 0), (2, 2): (70, 1)},
+            {(1, 1): (5_900, 5), (1, 2): (0, 0), (2, 2): (70, 1)},
+            {(1, 1): (6_000, 6), (1, 3): (400, 2), (2, 2): (99, 1)}]  # fmt: skip
+    waits, now = keeper.Waits(), monotonic_ns()
+    monkeypatch.setattr(keeper, "monotonic_ns", lambda: now)
+    waits._trees, waits._seen_ns = {"a": [1], "b": [2]}, now  # as if it had looked for processes already
+    found = []
+    for known in sums:
+        monkeypatch.setattr(keeper, "_threads", lambda pids, known=known: (k for k in known.items() if k[0][0] in pids))
+        found.append(waits.look([]))
+        assert waits.look([]) == {}  # too early
+        now += keeper.WAITS_NS
+    assert found == [{}, {"a": 900}, {"a": 400}]
+
+
+def test_the_kernel_tells_how_long_our_own_threads_wait() -> None:
+    threads = dict(keeper._threads([os.getpid(), 2**22 + 1]))
+    waited_ns, slices = threads[os.getpid(), os.getpid()]
+    assert waited_ns >= 0 and slices > 0

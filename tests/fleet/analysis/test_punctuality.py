@@ -101,6 +101,16 @@ def test_two_late_probes_of_few_fail_nothing() -> None:
     assert timing.punctual(Punctual(spread(0, 0), spread(0, 0)), None).passed
 
 
+def test_a_host_that_delays_the_programs_of_one_node_is_late() -> None:
+    """The relay hands everything over in time, and the messages come late to it already."""
+    late = Punctual(spread(1000, 0), spread(100, 0), {"auv1": spread(300, 0), "auv2": spread(300, 36)})
+    verdict = timing.punctual(late, None)
+    assert not verdict.passed and verdict.value == pytest.approx(timing.wilson_low(36, 300))
+    assert "programs of auv2 waited longer for a processor in 12.00% of the times in which they ran" in verdict.found
+    few = Punctual(spread(1000, 0), spread(100, 0), {"auv1": spread(300, 1), "auv2": spread(0, 0)})
+    assert timing.punctual(few, None).passed
+
+
 @given(st.integers(1, 10**6), st.data())
 def test_the_lower_end_is_that_of_wilson(count: int, data: st.DataObject) -> None:
     from scipy.stats import binomtest

@@ -189,25 +189,29 @@ class _Packets(NamedTuple):
     sent: list[float]
     causes: list[str]  # why each did not arrive; empty: it did
     newest: bytes | None  # payload of the newest that arrived whole
+    usual_s: float  # of those that arrived, how long they were on the way
 
     @classmethod
     def of(cls, topic: Topic, at_s: float) -> _Packets:
         if not len(topic):
-            return cls([], [], None)
+            return cls([], [], None, 0.0)
         causes: dict[int, tuple[float, str, int]] = {}  # by number: sent, why not, row
         names = ("seq", "sent", "due", "fate", "corrupted")
-        rows = zip(*(topic[name].tolist() for name in names), strict=True)
-        for row, (seq, sent, due, fate, corrupted) in enumerate(rows):
+        rows = zip(topic.t.tolist(), *(topic[name].tolist() for name in names), strict=True)
+        for row, (settled, seq, sent, due, fate, corrupted) in enumerate(rows):
             if sent > at_s:
                 continue
-            arrives = fate in (Cause.DELIVERED, Cause.IN_FLIGHT)
-            cause = fate if not arrives else ON_THE_WAY if due > at_s else CORRUPTED if corrupted else ""
+            # What the log says of it later, such as that nobody was there when it came, had not happened yet.
+            under_way = fate == Cause.IN_FLIGHT or max(due if fate == Cause.DELIVERED else sent, settled) > at_s
+            cause = ON_THE_WAY if under_way else CORRUPTED if corrupted else "" if fate == Cause.DELIVERED else fate
             if seq not in causes or not cause:  # of copies one that arrives counts
                 causes[seq] = sent, cause, row
         ordered = [causes[seq] for seq in sorted(causes)]
         arrived = [one for one in ordered if not one[1]]
         newest = topic["payload"][arrived[-1][2]] if arrived and "payload" in topic else None
-        return cls([sent for sent, *_ in ordered], [cause for _, cause, _ in ordered], newest)
+        came = [row for _, _, row in arrived]
+        usual_s = float(np.median(topic["due"][came] - topic["sent"][came])) if came else 0.0
+        return cls([sent for sent, *_ in ordered], [cause for _, cause, _ in ordered], newest, usual_s)
 
     def last_arrived(self) -> float | None:
         """When the newest that arrived was sent [s]."""
@@ -250,9 +254,9 @@ def _gaps(
 ) -> list[Gap]:
     """The gaps of all links, by how much they explain. Equal gaps are one.
 
-    First come senders that are silent still. Then come those by which a vehicle that failed heard nothing, and messages
-    that are lost before those on the way. Among them the longest comes first, and one that has long been over counts
-    for less.
+    First come senders that are silent still. Then come those by which a vehicle that failed heard or said nothing.
+    Among them the longest comes first. One that has long been over counts for less, and messages on the way count for
+    as much as they take longer than others of their link.
     """
     together: dict[tuple[float, float, str, bool], list[tuple[str, int]]] = {}
     for (src, dst), packets in each.items():
@@ -267,9 +271,12 @@ def _gaps(
 
     def rank(gap: Gap) -> tuple[Any, ...]:
         stopped = gap.cause == NOT_SENT and gap.goes_on
-        touched = any(int(link.partition("->")[2]) in failing for link in gap.links)
+        ends = [tuple(map(int, link.split("->"))) for link in gap.links]
+        touched = any(dst in failing or (gap.cause == NOT_SENT and src in failing) for src, dst in ends)
         silence = gap.to_s - gap.from_s - (0.0 if gap.goes_on else _FADES * (at_s - gap.to_s))
-        return not stopped, not touched, gap.cause == ON_THE_WAY, -silence, gap.from_s, gap.links
+        if gap.cause == ON_THE_WAY:
+            silence -= min(each[src, dst].usual_s for src, dst in ends)
+        return not stopped, not touched, -silence, gap.from_s, gap.links
 
     return sorted(gaps, key=rank)[:MOST_GAPS]
 

@@ -23,7 +23,7 @@ from tool import invoke
 
 from fleet.addons.pictures.style import panels
 from fleet.addons.studies.engine import local_engine
-from fleet.addons.studies.explanation.evidence import first_older
+from fleet.addons.studies.explanation.evidence import evidence, first_older
 from fleet.addons.studies.explanation.no_return import HealingSearch, healed, remake
 from fleet.addons.studies.explanation.picture import _lanes
 from fleet.addons.studies.explanation.why import Explanation, Question, Why, lines
@@ -153,6 +153,34 @@ def test_a_sender_that_stopped_comes_before_random_losses(tmp_path: Path) -> Non
     named = "\n".join(lines(structs.replace(why, nodes=["auv1", "auv2", "auv3", "ship"])))
     assert "auv3 sent nothing after 7.9 s" in named and "latest from auv2: sent at" in named
     assert "vehicle 3" not in named.partition("\n\n")[2]
+
+
+def test_messages_that_are_held_come_before_ordinary_losses(tmp_path: Path) -> None:
+    """They were sorted behind whatever was lost, however long they had been on the way."""
+    faults = "faults=[{at: 3 s, for: 5 s, hold: 2->1}]"
+    loss, check = "network.links={'*': loss 20%}", "checks={max_age: {below: 2 s, links: 2->1}, tumbled: waived}"
+    why = explained(recorded(tmp_path, "kill-restart", "duration=9 s", faults, loss, check, *COARSE), "max_age", 0)
+    assert (why.gaps[0].links, why.gaps[0].cause, why.gaps[0].goes_on) == (["2->1"], "on the way", True)
+    assert why.gaps[0].to_s - why.gaps[0].from_s > 1.5
+
+
+def test_what_becomes_of_a_message_later_is_no_cause(tmp_path: Path) -> None:
+    """A message that is on the way when the check fails, to an agent that is killed before it comes."""
+    faults = "faults=[{at: 8 s, kill: 1}]"
+    slow, check = "network.links={'*': delay 2500ms}", "checks={max_age: {below: 2 s, after: 6 s}, tumbled: waived}"
+    log = recorded(tmp_path, "kill-restart", "duration=12 s", faults, slow, check, *COARSE)
+    assert "dead receiver" in open_log(log, ["link/*"])["link/2-1"]["fate"].tolist()
+    why = explained(log, "max_age", 0)
+    assert why.at_s < 8.0 and set(why.lost) == {"on the way"}
+
+
+def test_the_pause_of_the_vehicle_that_failed_comes_before_losses_on_its_links(tmp_path: Path) -> None:
+    """It is over, and no message to it is missing: what it did not send shows that it stood still."""
+    faults = "faults=[{at: 4 s, for: 3 s, pause: 2}]"
+    loss = "network.links={'*': loss 35%}"
+    log = recorded(tmp_path, "kill-restart", "duration=9 s", faults, loss, "checks={tumbled: waived}", *COARSE)
+    then = evidence(open_log(log), 8.0, [], [2], protocol=False)
+    assert (then.gaps[0].cause, then.gaps[0].links[0][0], then.gaps[0].from_s) == ("not sent", "2", 3.9)
 
 
 @given(st.integers(0, 8), st.integers(1, 30), st.integers(0, 60), st.booleans())

@@ -31,6 +31,7 @@ PORT_NS = 50_000_000  # how often a port is tried
 WAITS_NS = 50_000_000  # how often it is read how long threads have waited for a processor
 TREES_NS = 10**9  # how often it is looked which processes the programs have started
 MOST_LINE = 65_536  # bytes; a longer line is cut
+MOST_MATCH_S = 0.2  # for one pattern in one line: some patterns have more ways to fit a line than anybody can try
 MOST_LOG = 16 * 2**20  # bytes of one program that are kept; so it cannot fill the disk
 MOST_READ = 1 << 16  # a pipe holds no more, so that one reading takes all that was in it
 TAIL = 12
@@ -38,6 +39,14 @@ AGAIN = "--- started again ---"  # a line of the log, where another life begins
 IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LIBC = ctypes.CDLL(None)
+
+
+class TooSlow(Exception):
+    """A pattern takes too long. Python looks for signals while it matches, so this can end it."""
+
+
+def _give_up(*_: object) -> None:
+    raise TooSlow
 
 
 def _sent(pid: int, number: int) -> bool:
@@ -229,6 +238,7 @@ class Program:
         self._patterns = [(number, re.compile(text), counts) for number, text, counts in values["signals"]]
         self._tells = re.compile(values["line"]) if values["line"] is not None else None
         self._port_ns = 0
+        self._slow: set[int | str] = set()  # signals whose pattern is not tried any more, and "ready"
 
     def plan(self, command: dict[str, Any], now: int) -> None:
         """Take what the console wants of it."""
@@ -354,15 +364,30 @@ class Program:
         now, text = monotonic_ns(), data[:MOST_LINE].decode("utf-8", "replace").rstrip("\r")
         self._tail.append("".join(c if c.isprintable() else "?" for c in text[:400]))
         self._keep(now, text)
-        if self._ready_ns is None and self._tells is not None and self._tells.search(text):
+        if self._ready_ns is None and self._tells is not None and self._find("ready", self._tells, text):
             self._is_ready(now)
         for place, (number, pattern, counts) in enumerate(self._patterns):
-            found = pattern.search(text)
+            found = self._find(number, pattern, text)
             if found is None:
                 continue
             self._counts[place] += 1
             with suppress(ValueError, TypeError):
                 self._told[number] = now, float(self._counts[place]) if counts else float(found["value"])
+
+    def _find(self, what: int | str, pattern: re.Pattern[str], text: str) -> re.Match[str] | None:
+        """Look for a pattern in a line. One that takes too long is never tried again: it would hold up all others."""
+        if what in self._slow:
+            return None
+        try:
+            signal.setitimer(signal.ITIMER_REAL, MOST_MATCH_S)
+            try:
+                return pattern.search(text)
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0)
+        except TooSlow:
+            self._slow.add(what)
+            self._keeper.say(slow=self.name, what=what)
+            return None
 
     def _keep(self, now: int, text: str) -> None:
         if self._written > MOST_LOG:
@@ -445,6 +470,7 @@ def main() -> None:
     _LIBC.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     for number in IGNORED:  # the console ends us, with all programs
         signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGALRM, _give_up)
     first = b""
     while not first.endswith(b"\n"):
         if not (data := os.read(0, 1)):

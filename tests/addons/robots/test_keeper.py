@@ -227,6 +227,16 @@ def test_numbers_are_told_that_lines_hold(tmp_path: Path) -> None:
     assert [n for n, line in enumerate(lines) if line.endswith(" --- started again ---")] == [5]
 
 
+def test_a_pattern_with_endless_ways_to_fit_a_line_holds_up_nobody(tmp_path: Path) -> None:
+    """Such a search takes years, and the keeper of all programs makes it."""
+    run = f"echo {'a' * 60}!; echo x=7; read go"
+    signals = [[0, "(a+)+$", True], [1, "x=(?P<value>[0-9]+)", False]]
+    with keeping(tmp_path, {"run": run, "signals": signals, "line": "(a|aa)+$"}) as kept:
+        assert kept.wait("told") | {"at": 0} == {"at": 0, "told": "m1", "signal": 1, "value": 7.0}
+        assert {one["what"] for one in kept.find("slow")} == {0, "ready"}
+        kept.stop()
+
+
 def test_of_many_lines_at_once_the_last_number_is_told(tmp_path: Path) -> None:
     """A check looks at the last one only, and a flood of numbers would hold up the console."""
     signals = [[0, "y", True], [1, "(?P<value>[0-9]+)", False]]

@@ -11,11 +11,13 @@ laws and checks have entry points of their own: `uuv_fleet.plants`, `uuv_fleet.c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from fleet.errors import in_words, printable
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -71,12 +73,13 @@ class AddOn:
                 )
 
 
-# The fields that hold places, and what is at least there at each.
+# The fields that hold places, and the class of what is there: one that inherits from it, or of faults an object.
 PLACES = {
-    **dict.fromkeys(("companions", "exporters"), "options_type"),
-    "readers": "recognises",
-    "listings": "rows",
-    "fault_kinds": "name",
+    "companions": "fleet.cli.companion:Companion",
+    "exporters": "fleet.cli.exporter:Exporter",
+    "readers": "fleet.logs.other:OtherData",
+    "listings": "fleet.cli.listing:Listing",
+    "fault_kinds": "fleet.scenario.faults.kind:FaultKind",
 }
 
 
@@ -99,16 +102,17 @@ def installed() -> Installed:
 
     found, left_out = {}, {}
     for point in sorted(entry_points(group=GROUP), key=lambda each: (not _is_ours(each), each.name)):
+        name, value = printable(point.name), printable(point.value)
         if point.name in found:
-            left_out[f"{point.name} ({point.value})"] = "there is an add-on of this name already"
+            left_out[f"{name} ({value})"] = "there is an add-on of this name already"
             continue
         try:
             addon = point.load()
         except (Exception, SystemExit) as error:
-            left_out[point.name] = f"{point.value}: {type(error).__name__}: {error}"
+            left_out[name] = f"{value}: {in_words(error)}"
             continue
         if not isinstance(addon, AddOn):
-            left_out[point.name] = f"{point.value} is no fleet.addon.AddOn"
+            left_out[name] = f"{value} is no fleet.addon.AddOn"
             continue
         found[point.name] = addon
     return Installed(found, left_out)
@@ -126,7 +130,7 @@ def leave_out(what: str, reason: str) -> None:
         what: the part, such as `tides.companions`.
         reason: why.
     """
-    installed().left_out[what] = reason
+    installed().left_out[printable(what)] = printable(reason)
 
 
 def load(place: str) -> Any:
@@ -156,16 +160,43 @@ def parts(kind: str) -> tuple[Any, ...]:
     Returns:
         The objects at these places, our own first. What cannot be loaded, or is of another form, is left out.
     """
-    found = []
+    found, base = [], load(PLACES[kind])
     for name, addon in installed().addons.items():
         for place in getattr(addon, kind):
             try:
                 part = load(place)
+                problem = _problem(part, base, is_object=kind == "fault_kinds")
             except (Exception, SystemExit) as error:
-                leave_out(f"{name}.{kind}", f"{place}: {type(error).__name__}: {error}")
-                continue
-            if not hasattr(part, PLACES[kind]):
-                leave_out(f"{name}.{kind}", f"{place} has no {PLACES[kind]}")
-                continue
-            found.append(part)
+                problem = in_words(error)
+            if problem:
+                leave_out(f"{name}.{kind}", f"{place}: {problem}")
+            else:
+                found.append(part)
     return tuple(found)
+
+
+def _problem(part: Any, base: type, *, is_object: bool) -> str:
+    """Why a part cannot be used; empty: it inherits from its class, and has all that it must have."""
+    about = type(part) if is_object else part
+    if not isinstance(about, type) or not issubclass(about, base):
+        return f"expected {'an object' if is_object else 'a class'} of {base.__module__}.{base.__name__}"
+    wanted = {name for each in base.__mro__ for name in vars(each).get("__annotations__", {})}
+    wanted |= getattr(about, "__abstractmethods__", frozenset())
+    missing = [n for n in sorted(wanted) if not hasattr(part, n) or n in getattr(about, "__abstractmethods__", ())]
+    return f"it has no {', '.join(missing)}" if missing else ""
+
+
+def sound_parts(kind: str, probe: Callable[[Any], object]) -> Iterator[Any]:
+    """The parts of a kind with which a trial goes well; each other is left out, and hurts nobody.
+
+    Args:
+        kind: a field of `AddOn` that has places.
+        probe: what will be done with a part.
+    """
+    for part in parts(kind):
+        try:
+            probe(part)
+        except (Exception, SystemExit) as error:
+            leave_out(f"{part.__module__}.{kind}", f"{part!r:.80}: {in_words(error)}")
+        else:
+            yield part

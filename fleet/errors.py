@@ -101,6 +101,14 @@ def harmless(text: str, *, json: bool = False) -> str:
     return _OBEYED.sub(lambda found: f"\\u{ord(found[0]):04x}" if json else "\ufffd", text)
 
 
+def in_words(error: BaseException) -> str:
+    """The kind of an error that somebody else's code has raised, and what it says if it can say it."""
+    try:
+        return harmless(f"{type(error).__name__}: {error}")
+    except Exception:
+        return harmless(f"{type(error).__name__}, whose text cannot be made")
+
+
 def printable(text: str) -> str:
     """The same text without line breaks and control characters, so that a terminal does not obey a foreign text."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)

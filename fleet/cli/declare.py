@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import click
 
-from fleet.addon import leave_out, parts
+from fleet.addon import leave_out, sound_parts
 from fleet.cli.documents.output import JSON
 from fleet.cli.types import PACE, PATH, SECONDS, SHARE, SPEED, TIME, Effect, Fallback, Whole, is_given
 from fleet.errors import FleetError
@@ -197,11 +197,17 @@ def _from_add_ons(parameter: Parameter) -> FromAddOns | None:
     return next((each for each in unwrapped(parameter.annotation)[1] if isinstance(each, FromAddOns)), None)
 
 
+def _parameters_of(kind: type[Extension]) -> list[click.Option]:
+    """The options of an extension. Raises whatever is wrong with them."""
+    kind(kind.options_type())
+    return [_option(field) for field in fields(kind.options_type).values()]
+
+
 def _extended(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
     """The extensions of a command. One with an option that is there already is left out, and hurts no other."""
     asked, found = _from_add_ons(parameter), []
     assert asked is not None
-    for kind in parts(asked.kind):
+    for kind in sound_parts(asked.kind, _parameters_of):
         if command not in kind.commands:
             continue
         own = {word for field in fields(kind.options_type).values() for word in _words(field)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, NamedTuple
@@ -16,7 +17,7 @@ class Selection(NamedTuple):
     exclude: tuple[str, ...]  # patterns
 
 
-class Exporter(Extension):
+class Exporter(Extension, ABC):
     """Another form of a log.
 
     Attributes:
@@ -29,10 +30,11 @@ class Exporter(Extension):
     form: ClassVar[str]
 
     @property
+    @abstractmethod
     def folder(self) -> Path | None:
         """Where it is to be written; None: nowhere."""
-        raise NotImplementedError
 
+    @abstractmethod
     def write(self, log: Path, selection: Selection, *, force: bool) -> Iterable[Path]:
         """Write a log.
 
@@ -47,7 +49,6 @@ class Exporter(Extension):
         Raises:
             FleetError: it cannot be written.
         """
-        raise NotImplementedError
 
 
 Exporters = Annotated[Sequence[Exporter], FromAddOns("exporters")]

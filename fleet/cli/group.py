@@ -9,6 +9,7 @@ import errno
 import os
 import re
 import shlex
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
@@ -19,7 +20,8 @@ import click
 from fleet.addon import Verb, installed, load
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.verbs import every_verb, headings, hint_for, other_option, verb_of
-from fleet.errors import FleetError, harmless
+from fleet.errors import FleetError, harmless, in_words
+from fleet.terminal.output import OutputError
 from fleet.terminal.width import say
 from netem.errors import NetemError
 
@@ -124,6 +126,23 @@ class FleetGroup(click.Group):
             status = report(error)
             _document(error, _words(error), status)
             ctx.exit(status)
+        except (click.exceptions.Exit, click.Abort, ImportError, MemoryError, OutputError):
+            raise  # they have meanings of their own
+        except Exception as error:
+            traceback.print_exc()
+            words = f"{in_words(error)}: {_whose(ctx.invoked_subcommand or '')}"
+            say(f"fleet: {words}", err=True)
+            _document(error, words, BROKEN)
+            ctx.exit(BROKEN)  # Python's own 1 would say that a check failed
+
+
+def _whose(name: str) -> str:
+    """Who has to mend what a command does by mistake."""
+    verb = verb_of(name)
+    package = "fleet" if verb is None else verb.command.partition(":")[0].partition(".")[0]
+    if package != "fleet":
+        return f"a mistake in fleet {name}, which the add-on {package} brings; the lines above say where"
+    return "a mistake of ours; please report the lines above, and what fleet about prints"
 
 
 def _meant(error: click.ClickException) -> str:
@@ -150,8 +169,8 @@ def command_of(name: str) -> click.Command:
 def _loaded(name: str, verb: Verb) -> click.Command:
     try:
         found = load(verb.command)
-    except (ImportError, AttributeError, SyntaxError, SystemExit) as error:
-        raise FleetError(f"fleet {name} cannot be loaded: {verb.command}: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise FleetError(f"fleet {name} cannot be loaded: {verb.command}: {in_words(error)}") from error
     if not isinstance(found, click.Command):
         raise FleetError(f"the add-on that brings fleet {name} gives {found!r:.80} in place of a click command")
     return found

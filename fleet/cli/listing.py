@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, ClassVar
 
 import msgspec
 
-from fleet.addon import parts
+from fleet.addon import leave_out, sound_parts
+from fleet.errors import in_words
 from fleet.scenario.catalogue import ListedScenario
 
 
-class Listing:
+class Listing(ABC):
     """What an add-on ships, as a table of `fleet list`.
 
     Attributes:
@@ -25,18 +27,47 @@ class Listing:
     row: ClassVar[type[msgspec.Struct]]
     headings: ClassVar[tuple[str, ...]]
 
+    @abstractmethod
     def rows(self) -> Sequence[Any]:
         """All that ships, each as a `row`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def cells(self, row: Any) -> Sequence[str]:
         """A row as it is printed."""
-        raise NotImplementedError
 
 
-def listings() -> list[Listing]:
-    """The tables of all add-ons."""
-    return [kind() for kind in parts("listings")]
+@cache
+def listings() -> tuple[Listing, ...]:
+    """The tables of all add-ons that can be made, each with a key of its own."""
+    found: dict[str, Listing] = {}
+    for kind in sound_parts("listings", _try):
+        if kind.key in (*found, "scenarios"):
+            leave_out(f"{kind.__module__}.listings", f"there is a table {kind.key} already")
+        else:
+            found[kind.key] = kind()
+    return tuple(found.values())
+
+
+def _try(kind: type[Listing]) -> None:
+    """Make the table, and the struct of its rows. Raises whatever is wrong with it."""
+    made = kind()
+    tuple(map(str.isprintable, made.headings))
+    msgspec.json.schema(msgspec.defstruct("Trial", [(made.key, list[made.row])]))  # type: ignore[name-defined]
+
+
+def filled() -> dict[Listing, list[tuple[Any, Sequence[str]]]]:
+    """The rows of each table, as the struct and as they are printed. A table that fails is left out."""
+    found: dict[Listing, list[tuple[Any, Sequence[str]]]] = {}
+    for each in listings():
+        try:
+            rows: list[tuple[Any, Sequence[str]]] = [(row, list(map(str, each.cells(row)))) for row in each.rows()]
+            if any(len(cells) != len(each.headings) for _, cells in rows):
+                raise ValueError(f"a row has not as many cells as there are headings ({len(each.headings)})")
+        except Exception as error:
+            leave_out(f"{type(each).__module__}.listings", f"{type(each).__name__}: {in_words(error)}")
+            rows = []
+        found[each] = rows
+    return found
 
 
 @cache

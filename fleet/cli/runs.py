@@ -154,13 +154,12 @@ def list_() -> None:
 
     fleet ls lists the runs made of them.
     """
-    from fleet.cli.listing import listed, listings
+    from fleet.cli.listing import filled, listed
     from fleet.scenario.catalogue import list_scenarios
 
-    scenarios, others = list_scenarios(), listings()
-    rows = {each.key: each.rows() for each in others}
+    scenarios, others = list_scenarios(), filled()
     if json_is_asked():
-        print_document(listed(scenarios, rows))
+        print_document(listed(scenarios, {each.key: [row for row, _ in rows] for each, rows in others.items()}))
         return
     from rich.text import Text
 
@@ -173,12 +172,13 @@ def list_() -> None:
         for row in (row for row in scenarios if row.group == group):
             table.add_row(f"  {row.name}", str(row.vehicles), f"{row.duration_s:g} s", row.expect, row.title)
     terminal.print(table)
-    for each in others:
-        terminal.print()
-        table = _table(*each.headings)
-        for one in rows[each.key]:
-            table.add_row(*each.cells(one))
-        terminal.print(table)
+    for each, rows in others.items():
+        if rows:
+            terminal.print()
+            table = _table(*each.headings)
+            for _, cells in rows:
+                table.add_row(*cells)
+            terminal.print(table)
 
 
 def _table(*headings: str) -> Table:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import atexit
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
 from fleet.addon import leave_out, parts
-from fleet.errors import FleetError
+from fleet.errors import FleetError, in_words
 from netem.private_folder import PrivateFolder
 
 
@@ -31,7 +32,7 @@ class Recovered:
         return not self.messages
 
 
-class OtherData:
+class OtherData(ABC):
     """Something that is no log of ours, and that some commands take.
 
     Attributes:
@@ -42,6 +43,7 @@ class OtherData:
     name: ClassVar[str]
     is_log: ClassVar[bool] = False
 
+    @abstractmethod
     def recognises(self, path: Path) -> bool:
         """Look whether a file or a directory is of this kind, with as little reading as possible.
 
@@ -51,7 +53,6 @@ class OtherData:
         Returns:
             Whether it is.
         """
-        raise NotImplementedError
 
     def write_mcap(self, path: Path, file: Path) -> None:
         """Write it as an MCAP file, which every command then reads as a log.
@@ -112,7 +113,7 @@ def known_as(path: Path) -> OtherData | None:
         except OSError:
             continue  # a name that is too long, a folder of others: the command itself tells it
         except Exception as error:
-            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"recognises: {type(error).__name__}: {error}")
+            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"recognises: {in_words(error)}")
     return None
 
 

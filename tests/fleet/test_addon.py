@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import sys
 from collections.abc import Iterator
@@ -15,19 +16,24 @@ from typing import Annotated, Any
 import click
 import pytest
 from in_process_runs import Alone, log_of
+from repository import ROOT
 from tool import invoke
 
 import fleet
 from fleet import addon
 from fleet.addon import AddOn, Verb
+from fleet.addons import api
 from fleet.cli import verbs
 from fleet.cli.companion import Beside, Companion, Companions
 from fleet.cli.declare import command
+from fleet.cli.exporter import Exporter
 from fleet.cli.group import command_of
+from fleet.cli.listing import Listing
 from fleet.errors import ScenarioError
 from fleet.execution.options import Options
 from fleet.logs.other import OtherData
 from fleet.option import Option
+from fleet.scenario.faults.kind import OfFleet
 from fleet.scenario.faults.kinds import KINDS, every_kind
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -40,6 +46,12 @@ HEARD: list[str] = []
 def shout() -> None:
     """Print a word."""
     click.echo("hey")
+
+
+@command()
+def stumble() -> None:
+    """Fail in a way that nobody expects."""
+    raise Silent
 
 
 @command("run")
@@ -104,18 +116,105 @@ class Tape(OtherData):
         file.write_bytes(path.read_bytes()[::-1])
 
 
-class Named:
-    """As much of a kind of faults as the list of kinds asks."""
+class SquallFault(OfFleet):
+    """A gust for everybody."""
 
-    acts_on = "world"
-
-    def __init__(self, name: str) -> None:
-        self.name = name
+    value, example = float, "squall 3"
 
 
-SQUALL, FALSE_KILL = Named("squall"), Named("kill")
+class KillFault(SquallFault):
+    """A kind whose name is taken."""
+
+
+class Silent(Exception):
+    """An error that cannot say what it is."""
+
+    def __str__(self) -> str:
+        raise ValueError
+
+
+class Broken:
+    """What an add-on may bring that cannot be used, each in another way, and the commands that it must not hurt."""
+
+    class NameAlone:
+        name = "gust"
+
+    class Untyped(SquallFault):
+        name = "untyped"
+        value = "no type at all"
+
+    class Loud(SquallFault):
+        name = "loud \x1b[31m"
+
+    class NoExample(OfFleet):
+        name, value = "bare", float
+
+    class KeylessList(Listing):
+        row, headings = Verb, ("a",)
+
+        def rows(self) -> Any:
+            return []
+
+        def cells(self, row: Any) -> Any:
+            return []
+
+    class FailingList(KeylessList):
+        key = "failing"
+
+        def rows(self) -> Any:
+            raise Silent
+
+    class UnevenList(KeylessList):
+        key = "uneven"
+
+        def rows(self) -> Any:
+            return [Verb("a", "b")]
+
+    class SameList(KeylessList):
+        key = "scenarios"
+
+    @dataclass(frozen=True)
+    class Unread:
+        far: Annotated[complex, Option("A number that no command line reads.")] = 0j
+
+    class Far(Companion):
+        pass
+
+    Far.options_type = Unread
+
+    @dataclass(frozen=True)
+    class Needs:
+        needed: Annotated[str, Option("Without a default.")]
+
+    class Needy(Companion):
+        pass
+
+    Needy.options_type = Needs
+
+    class NoReader:
+        def recognises(self, path: Path) -> bool:
+            return True
+
+    class Formless(Exporter):
+        options_type = LampOptions
+
+
+BROKEN = {
+    "fault_kinds": ("NameAlone", "Untyped", "Loud", "NoExample"),
+    "listings": ("KeylessList", "FailingList", "UnevenList", "SameList"),
+    "companions": ("Far", "Needy"),
+    "readers": ("NoReader",),
+    "exporters": ("Formless",),
+}
+SQUALL, FALSE_KILL = SquallFault(), KillFault()
 ADDON = AddOn(
-    verbs={"Noise": {"shout": Verb(f"{__name__}:shout", "Print."), "run": Verb(f"{__name__}:other_run", "Not so.")}},
+    verbs={
+        "Noise": {
+            "shout": Verb(f"{__name__}:shout", "Print."),
+            "run": Verb(f"{__name__}:other_run", "Not so."),
+            "stumble": Verb(f"{__name__}:stumble", "Fail."),
+        }
+    },
     names={"loudness": __name__},
     companions=(f"{__name__}:Lamp", f"{__name__}:Taken"),
     readers=(f"{__name__}:Tape",),
@@ -208,6 +307,65 @@ def test_a_part_that_cannot_be_used_hurts_no_other(made: Alone) -> None:
     assert left_out["noise: fleet run"] == left_out["uneven: fleet shout"] == "there is a command of this name already"
     assert "uneven.companions: " in about and "noise: fleet run" in about
     assert "left out" in invoke("run", "paper", "--no-such").stderr
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, names in BROKEN.items() for name in names])
+def test_a_part_that_is_wrong_is_left_out_with_a_reason(
+    kind: str, name: str, monkeypatch: pytest.MonkeyPatch, made: Alone
+) -> None:
+    part = getattr(Broken, name)
+    here = ModuleType("broken_addon")
+    here.PART = part() if kind == "fault_kinds" else part  # type: ignore[attr-defined]
+    here.ADDON = AddOn(**{kind: ("broken_addon:PART",)})  # type: ignore[attr-defined, arg-type]
+    monkeypatch.setitem(sys.modules, "broken_addon", here)
+    points = [EntryPoint("broken", "broken_addon:ADDON", addon.GROUP)]
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points if group == addon.GROUP else [])
+    _forget()
+    try:
+        log = log_of(made("paper", "duration=1 s", "checks={}"))
+        for words in (["list"], ["list", "--json"], ["run", "--help"], ["export", log, "--help"], ["info", log]):
+            assert invoke(*words).exit_code == 0, words
+        assert set(every_kind()) == set(KINDS)
+        about = invoke("about").stdout
+        assert "left out" in about and "\x1b" not in about
+    finally:
+        _forget()
+
+
+def test_errors_that_cannot_say_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise Silent
+
+    point = EntryPoint("si\x1b[31mlent", "silent_addon:ADDON", addon.GROUP)
+    monkeypatch.setattr(EntryPoint, "load", lambda self: fail())
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == addon.GROUP else [])
+    _forget()
+    try:
+        assert list(addon.installed().left_out.values()) == ["silent_addon:ADDON: Silent, whose text cannot be made"]
+        assert "\x1b" not in invoke("about").stdout and "\x1b" not in invoke("shoutt").stderr
+    finally:
+        _forget()
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_verb_that_fails_is_a_mistake_of_its_add_on_and_no_failed_check() -> None:
+    """Python's exit status of an error is 1, which here means that a check failed."""
+    said = invoke("stumble")
+    assert said.exit_code == 3
+    assert "Silent, whose text cannot be made: a mistake in fleet stumble, which the add-on" in said.stderr
+    assert "raise Silent" in said.stderr
+
+
+def test_the_api_of_add_ons_is_what_type_checkers_see_and_what_the_guide_lists() -> None:
+    tree = ast.parse(Path(api.__file__).read_text("utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {node.names[0].name: node.module for node in block.body if isinstance(node, ast.ImportFrom)}
+    assert seen == api._PLACES and api.__all__ == sorted(seen)
+    assert all(getattr(api, name) is not None for name in api.__all__)
+    guide = (ROOT / "docs/guide/add-ons.md").read_text("utf-8")
+    assert {name for name in api.__all__ if f"`{name}`" not in guide} == set()
+    with pytest.raises(AttributeError, match="it has Beside, "):
+        api.Verb  # noqa: B018
 
 
 @pytest.mark.parametrize("wrong", [{"companions": "a:B"}, {"verbs": {"a": Verb("a:b", "c")}}, {"readers": ("a",)}])

@@ -10,11 +10,7 @@ from typing import Annotated
 import msgspec
 
 import fleet
-from fleet.cli.declare import command
-from fleet.cli.documents.output import print_result
-from fleet.cli.exporter import Exporter, Selection
-from fleet.cli.log_argument import Log
-from fleet.option import Option
+from fleet.addons.api import Exporter, Log, Option, Selection, command, print_result
 
 
 class Deepest(msgspec.Struct):

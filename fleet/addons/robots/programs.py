@@ -259,8 +259,10 @@ class Programs:
             state, what = self.states[said["slow"]], said["what"]
             told = list(self._signals[state.node])
             name = what if isinstance(what, str) else f"signal {told[what]}"
-            self._note(f"{state.name}: the pattern of {name} takes longer than {keeper.MOST_MATCH_S:g} s for a line, "
-                       "and is not tried any more: write it without repetitions inside repetitions")
+            self._note(
+                f"{state.name}: the pattern of {name} takes longer than {keeper.MOST_MATCH_S:g} s for a line, "
+                "and is not tried any more: write it without repetitions inside repetitions"
+            )
         elif "waits" in said:
             for node, ns in said["waits"].items():
                 self._waits.setdefault(node, Histogram()).add(ns)

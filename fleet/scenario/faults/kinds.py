@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from fleet.addon import parts
+from pydantic import TypeAdapter
+
+from fleet.addon import leave_out, sound_parts
 from fleet.scenario.faults.kind import FaultKind
 from fleet.scenario.faults.of_agents import OF_AGENTS
 from fleet.scenario.faults.of_links import OF_LINKS
@@ -17,10 +20,24 @@ _OURS = (*OF_LINKS, *OF_AGENTS, *OF_SENSORS, *OF_MOTION)
 
 def every_kind() -> Mapping[str, FaultKind]:
     """Our kinds and those of add-ons, none of which takes the place of ours."""
-    return MappingProxyType(
-        {kind.name: kind for kind in _OURS}
-        | {kind.name: kind for kind in parts("fault_kinds") if kind.name not in {ours.name for ours in _OURS}}
-    )
+    found = {kind.name: kind for kind in _OURS}
+    for kind in sound_parts("fault_kinds", _try):
+        if kind.name in found:
+            leave_out(f"{type(kind).__module__}.fault_kinds", f"there is a fault {kind.name} already")
+        else:
+            found[kind.name] = kind
+    return MappingProxyType(found)
+
+
+def _try(kind: FaultKind) -> None:
+    """Read everything that others read of a kind. Raises whatever is wrong with it."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", kind.name):
+        raise ValueError(f"expected a name of small letters, got {kind.name!r:.40}")
+    TypeAdapter(kind.value)
+    texts = (kind.example, kind.shown, *(text for offer in kind.offers for text in offer))
+    if not all(isinstance(text, str) for text in texts) or kind.acts_on not in ("network", "agent", "vehicle"):
+        raise ValueError("example, shown and offers are texts, and it acts on the network, an agent or a vehicle")
+    _ = kind.section
 
 
 KINDS = every_kind()

@@ -1,0 +1,60 @@
+"""All that an add-on may import of `fleet` besides what every program of Python may: `fleet` itself, and `fleet.addon`.
+
+A module is imported when one of its names is asked for, so that a verb that needs a `Log` does not wait for pydantic.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from fleet.addon import load
+
+if TYPE_CHECKING:
+    from fleet.cli.companion import Beside as Beside
+    from fleet.cli.companion import Companion as Companion
+    from fleet.cli.declare import command as command
+    from fleet.cli.documents.output import print_result as print_result
+    from fleet.cli.exporter import Exporter as Exporter
+    from fleet.cli.exporter import Selection as Selection
+    from fleet.cli.listing import Listing as Listing
+    from fleet.cli.log_argument import Log as Log
+    from fleet.cli.types import TIME as TIME
+    from fleet.errors import FleetError as FleetError
+    from fleet.execution.options import Options as Options
+    from fleet.logs.other import OtherData as OtherData
+    from fleet.option import Option as Option
+    from fleet.scenario.faults.kind import FaultKind as FaultKind
+    from fleet.scenario.faults.kind import OfFleet as OfFleet
+    from fleet.scenario.faults.kind import OfLinks as OfLinks
+    from fleet.scenario.faults.kind import OfVehicles as OfVehicles
+    from fleet.scenario.scenario import Scenario as Scenario
+    from fleet.terminal.width import say as say
+
+_PLACES = {
+    "Beside": "fleet.cli.companion",
+    "Companion": "fleet.cli.companion",
+    "Exporter": "fleet.cli.exporter",
+    "FaultKind": "fleet.scenario.faults.kind",
+    "FleetError": "fleet.errors",
+    "Listing": "fleet.cli.listing",
+    "Log": "fleet.cli.log_argument",
+    "OfFleet": "fleet.scenario.faults.kind",
+    "OfLinks": "fleet.scenario.faults.kind",
+    "OfVehicles": "fleet.scenario.faults.kind",
+    "Option": "fleet.option",
+    "Options": "fleet.execution.options",
+    "OtherData": "fleet.logs.other",
+    "Scenario": "fleet.scenario.scenario",
+    "Selection": "fleet.cli.exporter",
+    "TIME": "fleet.cli.types",
+    "command": "fleet.cli.declare",
+    "print_result": "fleet.cli.documents.output",
+    "say": "fleet.terminal.width",
+}
+__all__ = sorted(_PLACES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
+    return load(f"{_PLACES[name]}:{name}")

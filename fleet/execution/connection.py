@@ -114,16 +114,25 @@ def choose(run: str | None, file: str, *, to_act: bool = False) -> Path:
     found = known if run is None else named(run, known)
     if not found:
         raise RemoteError(_nothing(run, known, file))
-    here = _working_directory()
-    near = [one for one in found if one.is_relative_to(here / "runs")] or [o for o in found if o.is_relative_to(here)]
+    near = near_ones(found)
     if to_act and run is None and not near:
-        raise RemoteError(f"no live run is below {here}; one that is elsewhere has to be named:{_choices(found)}", 2)
+        raise RemoteError(
+            f"no live run is below {_working_directory()}; one that is elsewhere has to be named:{_choices(found)}", 2
+        )
     if len(near) == 1:
         return near[0]
     if len(found) > 1:
         asked = "" if run is None else f" that {run!r} may mean"
         raise RemoteError(f"{len(found)} live runs{asked}; say which:{_choices(found)}", 2)
     return found[0]
+
+
+def near_ones(directories: list[Path]) -> list[Path]:
+    """The runs below the folder `runs`, or else below the working directory: others may be of another trial."""
+    here = _working_directory()
+    return [one for one in directories if one.is_relative_to(here / "runs")] or [
+        one for one in directories if one.is_relative_to(here)
+    ]
 
 
 def _working_directory() -> Path:

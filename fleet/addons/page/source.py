@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.execution.connection import LiveRun, RemoteError, choose, find, named, published
+from fleet.execution.connection import LiveRun, RemoteError, choose, find, named, near_ones, published
 from fleet.execution.directory import OBSERVE, SCENARIO, in_use
 from fleet.execution.past_runs import newest_run
 from fleet.execution.registry import registered
@@ -42,10 +42,19 @@ class LogSource:
 
 
 def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
-    """What is meant. `name`: a live run (its name or the beginning of it, its scenario, its directory), an
-    observe.json, a log, or the directory of a run that is over. None: the live run that began last. If no run lives, it
-    is the newest run below `runs`. Raises FleetError: there is none, or the run is not published; RemoteError: a name
-    means several live runs; RegistryError: it is not known which runs there are."""
+    """What is meant.
+
+    Args:
+        name: a live run (its name or the beginning of it, its scenario, its directory), an observe.json, a log, or the
+            directory of a run that is over. None: of the live runs below `runs` or the working directory the one that
+            began last; if none lives there, the newest run below `runs`.
+        runs: the folder of runs.
+
+    Raises:
+        FleetError: there is none, or the run is not published.
+        RemoteError: a name means several live runs.
+        RegistryError: it is not known which runs there are.
+    """
     if name is None:
         return _newest(runs)
     path = Path(name)
@@ -70,12 +79,16 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
 
 
 def _newest(runs: Path) -> LiveSource | LogSource:
-    if found := published(OBSERVE):
+    below = runs.absolute()
+    living = [one for one in registered() if one.is_relative_to(below)] or near_ones(registered())
+    if found := [one for one in living if os.path.exists(one / OBSERVE)]:
         return _live(max(found, key=_began) / OBSERVE)
-    if living := registered():
+    if living:
         raise _not_published(max(living, key=_began))
     newest = newest_run(runs)
     if newest is None:
+        if elsewhere := published(OBSERVE):  # perhaps of another trial, which the page could disturb
+            raise FleetError(f"no live run is below {below}; name one that is elsewhere: {elsewhere[0]}")
         raise FleetError(
             f"no run is live, and there is none below {runs.absolute()}: start one with fleet run paper --publish, or "
             "name a log or a run directory"

@@ -52,6 +52,20 @@ def test_a_live_run_by_name_or_the_one_that_began_last(tmp_path: Path) -> None:
         assert isinstance(watched, LiveSource) and watched.run is None
 
 
+def test_a_run_of_another_folder_has_to_be_named(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page may disturb a run, and one elsewhere may be of another trial. Before, the newest of all was opened."""
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    with published(tmp_path / "elsewhere", "ideal", 2e9) as theirs:
+        with pytest.raises(FleetError, match=f"no live run is below .*name one that is elsewhere: {theirs}"):
+            find_source(None, Path("runs"))
+        assert find_source(None, log.parents[1]) == LogSource(log)
+        with published(here / "runs", "paper", 1e9) as ours:
+            assert find_source(None, Path("runs")).directory == ours  # type: ignore[union-attr]
+        assert find_source("ideal", Path("runs")).directory == theirs  # type: ignore[union-attr]
+
+
 def test_several_runs_of_a_name(tmp_path: Path) -> None:
     with published(tmp_path / "a"), published(tmp_path / "b"), pytest.raises(RemoteError, match="2 live runs"):
         find_source("paper", tmp_path)

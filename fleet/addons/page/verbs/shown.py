@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Shown = Annotated[str | None, completion.published_runs, Option(
     "A live run that was started with --publish (its name, its scenario or its directory), an MCAP file, or a run "
-    "directory. By default the live run that began last; if none lives, the newest run below runs.",
+    "directory. By default the live run of this folder that began last; if none lives, the newest run below runs.",
     "[RUN|LOG]")]  # fmt: skip
 LogRate = Annotated[float | None, click.FloatRange(0.001, 1000.0)]
 LogLoop = Annotated[bool, Option("For a log: begin again at the end.", flag="-l --loop")]

@@ -42,7 +42,7 @@ def view(
 
     \b
     Examples:
-      fleet view                              the live run that began last, or the newest log
+      fleet view                              the live run of this folder, or the newest log
       fleet view runs/latest                  a log: play, pause, seek, next fault
       fleet view paper --read-only            to watch only
       fleet view --foxglove                   the live run, for Foxglove or Lichtblick

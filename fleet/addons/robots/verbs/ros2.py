@@ -50,7 +50,7 @@ def ros2(
 
     \b
     Examples:
-      fleet ros2                                  the live run that began last, or the newest log
+      fleet ros2                                  the live run of this folder, or the newest log
       fleet ros2 runs/latest --loop
       fleet ros2 paper --connect tcp/192.0.2.7:7447 --domain 7
       fleet ros2 paper --control                  services /fleet/inject and /fleet/heal

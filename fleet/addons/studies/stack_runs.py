@@ -1,7 +1,7 @@
 """Runs of a study whose programs are not ours: each is a `fleet netem` of its own, on the wall clock.
 
 A run has a process, ports and a folder of its own. How many go on at a time follows from the CPU time of the first one:
-together they take three quarters of the processors. A run in which the host was late says nothing about the network.
+together they take three quarters of what it and idle processors had, so that what else the machine does has room. A run in which the host was late says nothing about the network.
 It is made again, and is no result if it is late three times.
 """
 
@@ -19,6 +19,7 @@ from pathlib import Path
 from shlex import quote
 from typing import IO
 
+import psutil
 from msgspec import structs
 
 from fleet.addons.studies.measures import Samples
@@ -112,7 +113,8 @@ class StackRuns:
         self._since[0] += 1
         self._since[1] += row.status == LATE
         if self._given is None and run.cpu_share is not None:
-            self._given = self._at_once = max(1, min(MOST_AT_ONCE, int(SHARE * processors() / run.cpu_share)))
+            room = min(processors(), run.cpu_share + run.idle_share)
+            self._given = self._at_once = max(1, min(MOST_AT_ONCE, int(SHARE * room / run.cpu_share)))
         runs, lates = self._since
         if runs >= ENOUGH and lates > MOST_LATE * runs:
             half = max(1, self._at_once // 2)
@@ -126,12 +128,19 @@ def _names_a_port(node: Node) -> bool:
     return bool(node.udp or node.listen or node.connect or modem)
 
 
+def _idle_s() -> float:
+    """How long the processors have been idle since the machine started, all together."""
+    times = psutil.cpu_times()
+    return float(times.idle + times.iowait)
+
+
 class _Run:
     """One run that goes on."""
 
     def __init__(self, task: Task, tries: int) -> None:
         self.task, self.tries = task, tries
         self.cpu_share: float | None = None  # processors that it took, by its result
+        self.idle_share = 0.0  # processors that nobody used while it went on
         self._folder = PrivateFolder("stack")
         file = self._folder.path / f"{task.name}.yaml"
         file.write_text(task.text, "utf-8")
@@ -145,7 +154,7 @@ class _Run:
             env=os.environ | {PARENT_PID_VARIABLE: str(os.getpid())},
             start_new_session=True,
         )
-        self._begun = time.monotonic()
+        self._begun, self._idle_s = time.monotonic(), _idle_s()
         self._most_s = task.timeout_s
 
     @property
@@ -180,6 +189,7 @@ class _Run:
             wall = result.wall
             if wall.cpu_s:
                 self.cpu_share = wall.cpu_s / (wall.startup_s + wall.run_s)
+                self.idle_share = (_idle_s() - self._idle_s) / max(1e-9, time.monotonic() - self._begun)
             if result.status is Status.BROKEN:  # as with a program that cannot be started: the network is not to blame
                 return failed_row(task, FleetError(": ".join(filter(None, (result.reason, self._tail())))))
             if why := lateness(result):

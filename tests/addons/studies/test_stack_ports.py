@@ -25,7 +25,7 @@ def test_ports_of_the_file_are_those_of_one_run_at_a_time(
     seen: list[int] = []
 
     class Run:
-        tries, cpu_share, over = 1, None, True
+        tries, cpu_share, idle_share, over = 1, None, 0.0, True
 
         def __init__(self, task: Task, tries: int) -> None:
             self.task = task

@@ -213,6 +213,7 @@ class FakeRun:
 
     says: Callable[[int, int], str]
     cpu_share: float | None = 0.1
+    idle_share = 9.0
     alive: ClassVar[set[FakeRun]] = set()
     most = 0
 
@@ -237,6 +238,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeRun]:
     monkeypatch.setattr(stack_runs, "POLL_S", 0.0)
     monkeypatch.setattr(stack_runs, "processors", lambda: 4)
     FakeRun.says, FakeRun.cpu_share, FakeRun.most = (lambda seed, tries: ""), 0.1, 0
+    FakeRun.idle_share = 9.0
     FakeRun.alive.clear()
     return FakeRun
 
@@ -276,6 +278,18 @@ def test_as_many_go_on_at_a_time_as_the_first_one_leaves_room_for(
     fake.most = 0
     made(StackRuns(5), 80)
     assert fake.most == 5
+
+
+def test_what_else_the_machine_does_has_room(fake: type[FakeRun]) -> None:
+    """Other programs leave 1.1 of four processors to the first run, which takes 0.1; before, 30 went on at a time."""
+    fake.cpu_share, fake.idle_share = 0.1, 1.1
+    made(StackRuns(), 80)
+    assert fake.most == 9
+
+
+def test_the_idle_time_of_the_processors_grows_as_time_passes() -> None:
+    before = stack_runs._idle_s()
+    assert before > 0.0 and stack_runs._idle_s() >= before
 
 
 def test_a_cluster_makes_no_runs_of_stacks() -> None:

@@ -2,7 +2,7 @@
 
 It is a script of its own, with Python's standard library alone: it starts in 30 ms, and takes no memory that a program
 could miss. The console writes lines of JSON into it, and it answers with such lines. When that pipe ends, the console
-is gone, also by SIGKILL: then every program ends, with all that it has started.
+is gone, also by SIGKILL: then every program ends, with all that it has started, and containers are brought down.
 
 It is no child of the fork server as the other processes of a run are. The kernel ends those at once with the console,
 and nobody would be left to end what a program such as `ros2 launch` has started.
@@ -35,6 +35,7 @@ MOST_MATCH_S = 0.2  # for one pattern in one line: some patterns have more ways 
 MOST_LOG = 16 * 2**20  # bytes of one program that are kept; so it cannot fill the disk
 MOST_READ = 1 << 16  # a pipe holds no more, so that one reading takes all that was in it
 TAIL = 12
+DOWN_S = 120.0  # for docker to bring containers down, if the console cannot
 AGAIN = "--- started again ---"  # a line of the log, where another life begins
 IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
@@ -471,12 +472,34 @@ def main() -> None:
     for number in IGNORED:  # the console ends us, with all programs
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGALRM, _give_up)
-    first = b""
-    while not first.endswith(b"\n"):
+    down: list[str] = []
+    is_alone = True  # the console is gone, and has not said that it brings its containers down itself
+    try:
+        while "programs" not in (first := _first_lines()):
+            down = first.get("down", down)
+            if first.get("stop"):
+                is_alone = False
+                return
+        kept = Keeper(first["programs"])
+        kept.serve()
+        is_alone = not kept.stopping
+    except EOFError:
+        return
+    finally:
+        if is_alone and down:
+            with suppress(OSError, subprocess.SubprocessError):
+                subprocess.run(down, stdin=subprocess.DEVNULL, stdout=sys.stderr, timeout=DOWN_S, check=False)
+
+
+def _first_lines() -> dict[str, Any]:
+    """The next line before the keeper listens to all of them. Raises EOFError: the console is gone."""
+    line = b""
+    while not line.endswith(b"\n"):
         if not (data := os.read(0, 1)):
-            return
-        first += data
-    Keeper(json.loads(first)["programs"]).serve()
+            raise EOFError
+        line += data
+    said: dict[str, Any] = json.loads(line)
+    return said
 
 
 if __name__ == "__main__":

@@ -153,8 +153,6 @@ class Programs:
         uses = any(_EARLY in text for s in self.states.values() for text in (*s.section.run, *s.section.env.values()))
         self._planned_ns = planned_ns if uses else None
         values = [self._values_of(state, addresses, modems, planned_ns) for state in self.states.values()]
-        self._composed = True  # also one that fails may have begun something
-        self._compose("up", "-d", "--wait", meanwhile=meanwhile)
         try:
             self._keeper = subprocess.Popen(
                 [sys.executable, "-I", keeper.__file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -164,6 +162,10 @@ class Programs:
             raise RunBroken(f"the programs cannot be started: {error.strerror}") from None
         assert self._keeper.stdout is not None
         os.set_blocking(self._keeper.stdout.fileno(), False)
+        if self._scenario.spec.compose is not None:
+            self._tell(down=self._compose_command("down"))  # before: if somebody kills us, it does that
+            self._composed = True  # also one that fails may have begun something
+            self._compose("up", "-d", "--wait", meanwhile=meanwhile)
         self._tell(programs=values)
 
     def _values_of(
@@ -492,13 +494,13 @@ class Programs:
             self._keeper.stdin.write(json.dumps(values).encode() + b"\n")
             self._keeper.stdin.flush()
 
+    def _compose_command(self, *words: str) -> list[str]:
+        name = f"fleet-{self._directory.name}".lower()
+        return ["docker", "compose", "-p", name, "-f", str(self._scenario.spec.compose), *words]
+
     def _compose(self, *words: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Bring what a compose file names up or down. Raises RunBroken: docker is not here, or refuses."""
-        file = self._scenario.spec.compose
-        if file is None:
-            return
-        name = f"fleet-{self._directory.name}".lower()
-        command = ["docker", "compose", "-p", name, "-f", file, *words]
+        command = self._compose_command(*words)
         try:
             docker = subprocess.Popen(
                 command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace"

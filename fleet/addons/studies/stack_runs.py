@@ -1,8 +1,8 @@
 """Runs of a study whose programs are not ours: each is a `fleet netem` of its own, on the wall clock.
 
 A run has a process, ports and a folder of its own. How many go on at a time follows from the CPU time of the first one:
-together they take three quarters of what it and idle processors had, so that what else the machine does has room. A run in which the host was late says nothing about the network.
-It is made again, and is no result if it is late three times.
+together they take three quarters of what it and idle processors had, so that what else the machine does has room. A run
+in which the host was late says nothing about the network. It is made again, and is no result if it is late three times.
 """
 
 from __future__ import annotations

@@ -259,6 +259,22 @@ def test_nobody_is_left_when_the_console_is_killed(tmp_path: Path) -> None:
         run.until_nobody_is_left()
 
 
+@pytest.mark.parametrize("compose", ["services.yaml", "slow.yaml"])  # while they are up, and while they come up
+def test_containers_are_brought_down_when_the_console_is_killed(compose: str, tmp_path: Path) -> None:
+    with stack(
+        tmp_path, environment=docker(tmp_path), nodes=udp("m1", "m2"), compose=compose,
+        programs={"m1": {"run": "sleep 1000"}},
+    ) as run:  # fmt: skip
+        called = tmp_path / "called"
+        wait_for(lambda: called.exists() and " up " in called.read_text(), LIMIT_S, "up")
+        if compose == "services.yaml":
+            begun(run)
+        run.send(signal.SIGKILL)
+        run.status()
+        wait_for(lambda: called.read_text().split()[-1] == "down", LIMIT_S, "down")
+        run.until_nobody_is_left()
+
+
 def test_a_run_ends_with_a_line_when_its_keeper_is_killed(tmp_path: Path) -> None:
     run_it = "sh -c 'sleep 1000 & echo $! > left; exec sleep 1000'"
     with stack(tmp_path, nodes=udp("m1", "m2"), programs={"m1": {"run": run_it}}) as run:

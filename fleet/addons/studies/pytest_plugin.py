@@ -9,12 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
 if TYPE_CHECKING:
     from fleet.result.result import Result
+    from fleet.scenario.scenario import Scenario
 
 FleetRuns = Callable[..., "list[Result]"]
 
@@ -40,6 +41,8 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
         seeds: int | Iterable[int] = 10,
         *,
         set: Mapping[str, Any] | Iterable[str] = (),
+        net: Iterable[str] = (),
+        fault: Iterable[str] = (),
         trust: bool = False,
     ) -> list[Result]:
         """Run a scenario with each seed in turn.
@@ -48,35 +51,66 @@ def fleet_runs(request: pytest.FixtureRequest) -> FleetRuns:
             scenario: a shipped name, or a file. If the file is in the folder of the test, its name is enough.
             seeds: how many, from 1 on, or a list of them.
             set: changes to the scenario, as for `fleet.run`.
+            net: conditions of links, as `["1->2 loss 30%"]`.
+            fault: further faults, as `["at 10 s for 5 s down 1<->2"]`.
             trust: run modules, too, that are neither installed nor in the current directory.
 
         Returns:
-            The results; all of them passed.
-
-        Raises:
-            ScenarioError: with every mistake of the scenario.
+            The results; all of them passed. A mistake in the scenario, or no such file, fails the test in words.
         """
         beside = request.path.parent / scenario
         name = str(scenario if Path(scenario).exists() or not beside.is_file() else beside)
         chosen = range(1, 1 + (most or seeds)) if isinstance(seeds, int) else list(seeds)[:most]
-        return _run(name, list(chosen), set, trust, folder / test)
+        return _run(_Asked(name, set, tuple(net), tuple(fault), trust), list(chosen), folder / test)
 
     return run
 
 
-def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path) -> list[Result]:
-    from fleet.addons.studies.row import Reached
-    from fleet.execution.stepped_run import override_texts
+class _Asked(NamedTuple):
+    """A scenario with changes, as a test asks for it."""
 
-    texts = override_texts(changes)
+    name: str
+    set: Any
+    net: tuple[str, ...]
+    fault: tuple[str, ...]
+    trust: bool
+
+    def load(self, seed: int) -> Scenario:
+        """The scenario with a seed. Raises ScenarioError."""
+        from fleet.execution.stepped_run import loaded
+        from fleet.execution.whole_run import run
+
+        return loaded(run, self.name, self.set, self.net, self.fault, seed, self.trust)
+
+    @property
+    def options(self) -> str:
+        """The changes as options of `fleet run`."""
+        from shlex import quote
+
+        from fleet.execution.stepped_run import override_texts
+
+        given = {"--set": override_texts(self.set), "--net": self.net, "--fault": self.fault}
+        return "".join(f" {option} {quote(text)}" for option, texts in given.items() for text in texts)
+
+
+def _run(asked: _Asked, seeds: list[int], directory: Path) -> list[Result]:
+    from fleet.addons.studies.row import Reached
+    from fleet.errors import FleetError
+
+    name = asked.name
     found: list[Result] = []
     reached: dict[str, Reached] = {}
     for seed in seeds:
-        result, log = _once(name, [*texts, f"seed={seed}"], trust)
+        mistake = ""
+        try:
+            result, log = _once(asked, seed)
+        except FleetError as error:
+            mistake = str(error)
+        if mistake:  # outside, or pytest would show the error twice
+            pytest.fail(mistake, pytrace=False)
         if not result.passed:
-            place = directory.with_name(f"{directory.name}-seed-{seed}")
-            log = log or _kept(name, [*texts, f"seed={seed}"], trust, place)
-            pytest.fail(_words(name, texts, result, len(seeds), log), pytrace=False)
+            log = log or _kept(asked, seed, directory.with_name(f"{directory.name}-seed-{seed}"))
+            pytest.fail(_words(asked, result, len(seeds), log), pytrace=False)
         found.append(result)
         for verdict in result.checks:
             if verdict.reached is not None:
@@ -87,52 +121,51 @@ def _run(name: str, seeds: list[int], changes: Any, trust: bool, directory: Path
     return found
 
 
-def _once(name: str, changes: list[str], trust: bool) -> tuple[Result, str]:
+def _once(asked: _Asked, seed: int) -> tuple[Result, str]:
     """Make one run. Returns its result, and where its log is if there is one already."""
     from fleet.addons.studies.stack_runs import run_stack
     from fleet.execution.whole_run import run
-    from fleet.scenario.loading import load_scenario
     from fleet.scenario.programs import admit_programs
     from world.plugins.trust import trusting
 
-    with trusting(trust):
-        scenario = load_scenario(name, changes)
+    scenario = asked.load(seed)
+    with trusting(asked.trust):
         admit_programs(scenario.spec, scenario.reading.policy)
     if not scenario.nodes:
-        return run(name, set=changes, trust=trust), ""
+        return run(scenario, trust=asked.trust), ""
     result = run_stack(scenario, Path("runs"))
     return result, f"its log: {result.directory} (fleet view {result.directory})"
 
 
-def _kept(name: str, changes: list[str], trust: bool, directory: Path) -> str:
+def _kept(asked: _Asked, seed: int, directory: Path) -> str:
     """Make a run once more, with its directory; returns where that is, or why there is none."""
     from fleet.addons.studies.one_run import recorded
-    from fleet.scenario.loading import load_scenario
-    from world.plugins.trust import trusting
 
     try:
-        with trusting(trust):
-            recorded(load_scenario(name, changes), directory)
+        recorded(asked.load(seed), directory)
     except OSError as error:
         return f"its log is not kept: {error}"
     return f"its log: {directory} (fleet view {directory})"
 
 
-def _words(name: str, changes: list[str], result: Result, of: int, log: str) -> str:
+def _words(asked: _Asked, result: Result, of: int, log: str) -> str:
     from shlex import quote
 
     from fleet.addons.studies.stack_runs import told_of
 
     failed = [one for one in result.checks if not one.passed]
-    more = "".join(f" --set {quote(text)}" for text in changes)
     names = ", ".join(one.check for one in failed) or str(result.status)
     lines = [
-        f"{name} fails {names} with seed {result.seed}, of {of} seeds",
+        f"{asked.name} fails {names} with seed {result.seed}, of {of} seeds",
         *([result.reason] if result.reason else []),
     ]
     lines += [f"  {one.check}: {one.asked}; found {one.words}" for one in failed]
     if result.directory is not None:  # of programs on the wall clock, which has no digest that comes again
         return "\n".join([lines[0], *told_of(result.directory), log])
     return "\n".join(
-        [*lines, f"fleet run {quote(name)} --seed {result.seed}{more}  # sha256 {result.digest[:16]}", log]
+        [
+            *lines,
+            f"fleet run {quote(asked.name)} --seed {result.seed}{asked.options}  # sha256 {result.digest[:16]}",
+            log,
+        ]
     )

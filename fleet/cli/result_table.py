@@ -49,10 +49,11 @@ def show(result: Result, terminal: Terminal) -> None:
     _show_events(result.events, say)
     explained = {without_agent(line) for line in result.lines}
     notes = folded(note for note in result.notes if without_agent(note) not in explained)
-    for note in notes[:MOST_NOTES]:
+    room = table.shown(len(notes), MOST_NOTES)
+    for note in notes[:room]:
         say(note, mark="note")
-    if len(notes) > MOST_NOTES:
-        say(f"... and {len(notes) - MOST_NOTES} more in result.json", mark="note")
+    if len(notes) > room:
+        say(f"... and {len(notes) - room} more in result.json", mark="note")
     if result.vehicles:
         show_vehicles = _show_protocols if all(row.agent for row in result.vehicles.values()) else _show_vehicles
         show_vehicles(result.vehicles, result.from_s, terminal, say)
@@ -87,10 +88,11 @@ def show(result: Result, terminal: Terminal) -> None:
 
 def _show_events(rows: list[FaultEvent], say: Say) -> None:
     events = vehicle_events((row.what, row.at_s) for row in rows if row.action == "begins")
-    for event in events[:MOST_EVENTS]:
+    room = table.shown(len(events), MOST_EVENTS)
+    for event in events[:room]:
         say(str(event), mark="event")
-    if len(events) > MOST_EVENTS:
-        say(f"... and {len(events) - MOST_EVENTS} more in result.json", mark="event")
+    if len(events) > room:
+        say(f"... and {len(events) - room} more in result.json", mark="event")
 
 
 def _show_vehicles(rows: dict[str, VehicleResult], from_s: float, terminal: Terminal, say: Say) -> None:
@@ -146,9 +148,9 @@ def _show_links(result: Result, terminal: Terminal, say: Say) -> None:
     rows, ages = result.ledger, result.ages
     causes = sorted({cause for row in rows.values() for cause in row.lost} - {Cause.REPLACED})
     alike = _alike(rows, ages)
-    shown = sorted(alike, key=lambda name: -ages[name].max_s if name in ages else 0.0)[:MOST_LINKS]
-    if len(alike) <= MOST_LINKS:
-        shown = list(alike)
+    room = table.shown(len(alike), MOST_LINKS)
+    oldest = sorted(alike, key=lambda name: -ages[name].max_s if name in ages else 0.0)
+    shown = oldest[:room] if room < len(alike) else list(alike)
     names = [name if len(alike[name]) == 1 else f"{name} ... ({len(alike[name])})" for name in shown]
 
     def counts(heading: str, count: Callable[[Account], int], rank: int = 0) -> list[TerminalColumn]:
@@ -201,9 +203,10 @@ def _tell_more(rows: int, say: Say) -> None:
 
 def _farthest(rows: Mapping[str, VehicleResult]) -> list[str]:
     """The vehicles, given their rows: all, or of many those with the largest formation error at the end."""
-    if len(rows) <= MOST_VEHICLES:
+    room = table.shown(len(rows), MOST_VEHICLES)
+    if room == len(rows):
         return list(rows)
-    return sorted(rows, key=lambda name: -(rows[name].formation_final_m or 0.0))[:MOST_VEHICLES]
+    return sorted(rows, key=lambda name: -(rows[name].formation_final_m or 0.0))[:room]
 
 
 def _alike(rows: Mapping[str, Account], ages: Mapping[str, LinkAge]) -> dict[str, list[str]]:

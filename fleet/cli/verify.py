@@ -89,6 +89,9 @@ def diff(
         name, reader = max(("a", left), ("b", right), key=lambda side: begin_ns(side[1]))
         source = reader.metadata.get("run", {}).get(FROM, "another log")
         say(f"compared from t = {found.begin_ns / 1e9:g} s on, where {name} begins: it goes on from {source}")
+    names = [reader.metadata.get("run", {}).get("scenario", "") for reader in (left, right)]
+    if names[0] != names[1] and all(names):
+        say(f"different scenarios: a is of {names[0]}, b of {names[1]}")
     if found.first is None:
         say(f"the same bit for bit ({found.same} messages)")
     else:

@@ -7,7 +7,6 @@ only messages that wait for their partner are held.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -18,14 +17,13 @@ from typing import Any
 import numpy as np
 
 from fleet.logs.decoder import Decoder, FieldValue
-from fleet.logs.difference import Difference, _table, begin_ns, difference, side
+from fleet.logs.difference import Difference, _table, alike, begin_ns, difference, side
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.records import Block
 
 MOST_WAITING_BYTES = 64 << 20  # unmatched messages that are held, per log
 _STEP = 4096  # messages that are compared at once
 MOST_WAITING = 50_000  # messages of one log without their other half; beyond that the oldest count as missing
-_NUMBERS = re.compile(r"(?<=/)\d+(-\d+)?")
 Key = tuple[str, int, int]  # several messages may have one key: faults of one tick
 
 
@@ -264,21 +262,20 @@ def rows(found: LogComparison, most: int | None = None) -> Iterator[tuple[str, s
         yield name, f"{deviation.value:.3g}", deviation.unit, f"{deviation.at_ns / 1e9:g} s", str(deviation.differing)
 
 
-def _alike(counts: Counter[str]) -> list[tuple[str, int]]:
-    total: Counter[str] = Counter()
-    for name, count in counts.items():
-        total[_NUMBERS.sub("*", name)] += count
-    return sorted(total.items())
+_FEW = 5  # kinds of differences that are no numbers: of strangers every one differs
 
 
 def deviation_lines(found: LogComparison, most: int | None) -> Iterator[str]:
     """The differences, in words and as a table of signals."""
     yield f"{found.same} messages are the same, {found.paired} differ"
     for name, only in (("a", found.only_a), ("b", found.only_b)):
-        for topic, count in _alike(only):
+        for topic, count in alike(only):
             yield f"only in {name}: {count} of {topic}"
-    for path, count in _alike(found.others):
+    others = list(alike(found.others))
+    for path, count in others[: None if most is None else _FEW]:
         yield f"not the same, and no number: {path} in {count} messages"
+    if most is not None and len(others) > _FEW:
+        yield f"and {len(others) - _FEW} more that are no numbers: --all shows them"
     cells = [("signal", "max |a - b|", "unit", "at t", "messages"), *rows(found, most)]
     if len(cells) > 1:
         yield from _table(cells)

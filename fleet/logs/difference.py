@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -13,6 +15,8 @@ from msgspec import Meta, Struct
 from fleet.logs.decoder import Decoder, FieldValue
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import FROM, FROM_TICK, OLD_START, START
+
+_NUMBERS = re.compile(r"(?<=/)\d+(-\d+)?")
 
 _MOST_BYTES = 24  # a longer payload is shown by its first bytes
 Plain = str | int | float | bool | None
@@ -126,8 +130,16 @@ def besides_messages(a: LogReader, b: LogReader) -> list[str]:
         left, right = a.metadata.get(name, {}), b.metadata.get(name, {})
         keys = [key for key in sorted((left.keys() | right.keys()) - start) if left.get(key) != right.get(key)]
         found += [f"metadata {name}: {key} {left.get(key)} and {right.get(key)}" for key in keys]
-    topics = {topic for topic, _ in _declared(a).items() ^ _declared(b).items()}
-    return [*found, *(f"the declaration of {topic}" for topic in sorted(topics))]
+    topics = Counter({topic: 1 for topic, _ in _declared(a).items() ^ _declared(b).items()})
+    return [*found, *(f"the declaration of {topic}" for topic, _ in alike(topics))]
+
+
+def alike(counts: Counter[str]) -> list[tuple[str, int]]:
+    """The counts of topics that differ by the numbers of vehicles alone, together."""
+    total: Counter[str] = Counter()
+    for name, count in counts.items():
+        total[_NUMBERS.sub("*", name)] += count
+    return sorted(total.items())
 
 
 def tick_length(reader: LogReader) -> int:

@@ -11,6 +11,7 @@ from fleet.errors import Problem, ScenarioError
 from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios, shipped_text
 from fleet.scenario.scenario import Reading, Scenario
+from fleet.scenario.text import scenario_yaml
 from fleet.scenario.text.nodes import expanded, still
 from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
@@ -88,6 +89,16 @@ def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario
     """
     text, before, folder, policy = scenario.reading
     return parse_scenario(text, scenario.source, [*before, *overrides], folder, replace(policy, refused=None))
+
+
+def short_text(scenario: Scenario) -> str:
+    """The text of a scenario with nothing that is so anyway; the whole text where that would be another scenario."""
+    whole, short = scenario.to_yaml(), scenario_yaml.short_yaml(scenario.spec)
+    try:
+        again = parse_scenario(short, scenario.source, (), scenario.reading.folder, scenario.reading.policy)
+    except ScenarioError:
+        return whole
+    return short if again.to_yaml() == whole else whole
 
 
 def _order(problem: Problem, source: Source, overrides: Sequence[str | Override]) -> tuple[int, int, int]:

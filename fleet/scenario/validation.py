@@ -135,10 +135,24 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
         report.problems += _explained(root, error.errors(include_url=False))
         spec = cast(ScenarioSpec, _Partial(ScenarioSpec, data))
     parts = Parts(spec, folder)
+    if isinstance(spec, ScenarioSpec) and "nodes" not in root.entries:
+        for path in laws.superfluous(parts, report):
+            root = _without(root, path)
+        if root is not report.root:
+            return validate(root, folder, policy)
     apply_rules(parts, report)
     names = report.keys("nodes")
     told = [replace(problem, message=of_nodes(problem.message, names)) for problem in report.problems]
     return (None if told else parts), told
+
+
+def _without(root: Mapping, path: Sequence[str]) -> Mapping:
+    """The tree without a key."""
+    key, *rest = path
+    inner = root.entries[key]
+    if not rest or not isinstance(inner, Mapping):
+        return root.without(key)
+    return Mapping(root.entries | {key: _without(inner, rest)}, root.keys, root.place)
 
 
 def apply_rules(parts: Parts, report: Report) -> None:

@@ -36,6 +36,11 @@ class TerminalColumn:
         return max(len(line) for text in (self.heading, *self.cells) for line in text.split("\n"))
 
 
+def shown(count: int, most: int) -> int:
+    """How many of some rows are shown: `most`, or all if one alone were left, whose place its mention would take."""
+    return count if count <= most + 1 else most
+
+
 def width(columns: Sequence[TerminalColumn]) -> int:
     """How wide these are as a table."""
     return sum(column.width for column in columns) + _GAP * (len(columns) - 1)
@@ -71,7 +76,11 @@ def show(wanted: Sequence[TerminalColumn], title: str, terminal: Terminal, elsew
         made.add_column(escape(harmless(column.heading)), justify=column.justify, vertical="bottom", overflow="fold")
     for row in zip(*(column.cells for column in kept), strict=True):
         made.add_row(*(escape(harmless(cell)) for cell in row))
+    before = terminal.width
+    if not terminal.is_terminal:  # a file has room for what must be there
+        terminal.width = max(before, width(kept))
     terminal.print(made)
+    terminal.width = before
     if left := [column.heading.replace("\n", " ") for column in wanted if column not in kept]:
-        text = f"no room here for {', '.join(left)}: {elsewhere}"
+        text = f"left out at {terminal.width} columns: {', '.join(left)} ({elsewhere})"
         terminal.print(fold(text, most), markup=False, highlight=False, soft_wrap=True)

@@ -13,7 +13,7 @@ from fleet.addons.studies.stopping import estimated
 from fleet.addons.studies.store import Store
 
 DEFAULT = ("formation_final_m", "age_p95_s", "loss_share")
-OF_STACKS = DEFAULT[1:]  # nobody measures where robots of others are
+WITHOUT_PLACES = DEFAULT[1:]  # of robots of others nobody measures where they are, and moored vehicles stay
 
 
 @dataclass(frozen=True, slots=True)

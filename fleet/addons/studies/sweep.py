@@ -34,7 +34,7 @@ from fleet.addons.studies.statistics import Estimate, pass_rate
 from fleet.addons.studies.stopping import parse_until, watched_by
 from fleet.addons.studies.store import Store, StudyPoint
 from fleet.addons.studies.study_file import placed
-from fleet.addons.studies.summary import DEFAULT, OF_STACKS
+from fleet.addons.studies.summary import DEFAULT, WITHOUT_PLACES
 from fleet.analysis.preflight import check_warnings
 from fleet.errors import Problem, ScenarioError
 from fleet.execution.external_agents import refuse
@@ -128,7 +128,7 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
     Where no measures are named, those of signals that checks of the scenarios are about stand behind the usual ones.
     """
     measures = tuple(spec.measures)
-    usual = OF_STACKS if scenarios[0].nodes else DEFAULT
+    usual = WITHOUT_PLACES if scenarios[0].nodes or scenarios[0].spec.moored else DEFAULT
     checked = measures_of_checks(scenarios)
     if not measures and (checked or usual is not DEFAULT):
         measures = (*usual, *checked)
@@ -371,7 +371,8 @@ def _without_values(text: str, point: Point) -> str:
 
 
 def _with_points(problem: Problem, points: list[Point], plan: Plan) -> Problem:
-    """The mistake with its points, if not all have it. A wrong word of links gets the two ways to vary it as a hint."""
+    """The mistake with its points, if not all have it. A wrong word of links, or a
+    name that nothing uses, gets the two ways to vary it as a hint."""
     hint = problem.hint
     key = next((axis.key for axis in plan.axes if problem.file.startswith(f"{axis.option} {axis.key}=")), "")
     word = key.rpartition(".")[2]
@@ -379,6 +380,8 @@ def _with_points(problem: Problem, points: list[Point], plan: Plan) -> Problem:
         hint = (
             f"a condition of links is network.links.*.{word}; or name it in --net '* {word} {{{word}}}' and vary {word}"
         )
+    elif "." not in key and hint.startswith("known here"):  # all keys would hide the way to a name of one's own
+        hint = f"a key of a scenario, such as network.period; or use it, as in --net '* loss {{{key}}}'"
     return replace(problem, message=problem.message + _of_points(points, plan), hint=hint)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -92,6 +93,21 @@ def effective(parts: Parts, report: Report) -> None:
     """A parameter that no law reads is a mistake, not a comment."""
     if report.mistaken("controller.law: there is no"):  # what it would read is not known
         return
+    for path, message in _ineffective(parts):
+        report.add(path, message, key=True)
+
+
+def superfluous(parts: Parts, report: Report) -> list[tuple[str, ...]]:
+    """The keys of the file that a law reads in whose place another one was typed: they belong to the former law."""
+    changed = ("controller", "guidance", "tracking", "profile")
+    if not any(report.typed((key,)) or report.typed((key, "law")) for key in changed):
+        return []
+    found = (path for path, _ in _ineffective(parts))
+    return [path for path in found if path[-1] != "law" and not report.typed(path)]
+
+
+def _ineffective(parts: Parts) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Each key that no law reads, and what is wrong with it."""
     spec = parts.spec
     for kind in ("guidance", "tracking"):
         for path, section in sections(parts.spec, kind):
@@ -103,10 +119,10 @@ def effective(parts: Parts, report: Report) -> None:
             keys: set[str] = set().union(*(used(kind, law) for law in running))
             for key in given(section).keys() - {"law", "parameters"} - keys:
                 laws = ", ".join(sorted(running)) or "a controller that replaces it"
-                report.add((*path, kind, key), f"has no effect on {kind} law {laws}", key=True)
+                yield (*path, kind, key), f"has no effect on {kind} law {laws}"
             if given(section).get("law") and not running:
                 message = "has no effect beside a controller that replaces guidance and tracking"
-                report.add((*path, kind, "law"), message, key=True)
+                yield (*path, kind, "law"), message
 
 
 def keep_apart(parts: Parts, report: Report) -> None:

@@ -48,6 +48,17 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
     return "\n".join(lines) + "\n"
 
 
+def short_yaml(spec: ScenarioSpec) -> str:
+    """The text of a scenario with nothing that is so anyway, for people. Versions may differ in what that is."""
+    values = spec.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
+    values["per_vehicle"] = {
+        numbers: overrides.model_dump(exclude_none=True, exclude_unset=True, by_alias=True)
+        for numbers, overrides in spec.per_vehicle.items()
+    }
+    values = compact(values) if spec.nodes is not None else values
+    return "\n".join(line for key, value in values.items() if value != {} for line in entry(key, value, 0)) + "\n"
+
+
 def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     """The values that profile and model supply: section -> (origin, values), for vehicles without own entries."""
     supplied: dict[str, tuple[str, dict[str, Any]]] = {}

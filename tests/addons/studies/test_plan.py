@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
 from refusals import check_refusals
 
-from fleet.addons.studies.plan import Plan, parse_seeds
+from fleet.addons.studies.plan import Plan, parse_seeds, plan_of
+from fleet.addons.studies.spec import StudySpec
+from fleet.addons.studies.sweep import load_points
 from fleet.addons.studies.values import parse_axis
+from fleet.errors import ScenarioError
 from fleet.scenario.text.overrides import FAULT, NET, SET, Override
 
 LOSS, DELAY = parse_axis("loss=0 %,30 %"), parse_axis("delay=100 ms,1 s")
@@ -77,3 +81,19 @@ def test_what_is_drawn_twice_is_one_point() -> None:
     plan = Plan("paper", (), (parse_axis("network.period=100 ms..300 ms/100 ms random 20"),))
     texts = [point.values["network.period"].text for point in plan.points]
     assert sorted(texts) == ["100 ms", "200 ms", "300 ms"]
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("x", "--net '* loss {x}'"),
+        ("vehicels", 'did you mean "vehicles"?'),
+        ("networ.period", 'did you mean "network"'),
+    ],
+)
+def test_a_key_that_nothing_uses_is_told_without_the_list_of_all_keys(key: str, words: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(words)) as told:
+        load_points(plan_of(StudySpec("paper", vary={key: "1,2"})))
+    assert len(str(told.value)) < 200
+    if key == "x":
+        assert len(load_points(plan_of(StudySpec("paper", vary={key: "1,2"}, net=["* loss {x}%"])))) == 2

@@ -20,13 +20,13 @@ from study_engine import Here
 
 from fleet.addons.studies import store as stores
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.plan import Plan
+from fleet.addons.studies.plan import Plan, plan_of
 from fleet.addons.studies.record import StudyRecord
 from fleet.addons.studies.spec import StudySpec
 from fleet.addons.studies.store import Store
 from fleet.addons.studies.study import Study, open_study
 from fleet.addons.studies.summary import summarise
-from fleet.addons.studies.sweep import Progress, load_points, modules_again, prepare, run_study
+from fleet.addons.studies.sweep import Progress, declared, load_points, modules_again, prepare, run_study
 from fleet.addons.studies.values import parse_axis
 from fleet.errors import ScenarioError
 from fleet.execution.whole_run import run
@@ -397,3 +397,10 @@ def test_a_mistake_in_the_file_is_reported_once_whatever_values_are_like_its_wor
     said = [problem.message for problem in caught.value.problems]
     assert len(said) == len(set(said)) and not any("points" in message for message in said)
     assert "network.period: 15 ms is not a whole number of ticks of 10 ms" in said
+
+
+def test_moored_vehicles_have_no_formation_error_in_the_table() -> None:
+    """It was 0 in every row, since they stay where they are."""
+    changes = {"moored": "true", "agent": "fleet.protocols.average:ExactAverage", "checks": "{}"}
+    scenarios = load_points(plan_of(StudySpec("average", set=changes)))
+    assert declared(StudySpec("average"), scenarios)[0] == ("age_p95_s", "loss_share")

@@ -90,7 +90,7 @@ def test_every_help_has_an_example_and_explains_every_option() -> None:
 
 def test_version() -> None:
     cores = r"(compiled|plain Python \((at the installation: .+|these are sources, as an editable install uses them)\))"
-    assert re.fullmatch(rf"fleet, version \d+\.\d+\.\d+, cores: {cores}\n", invoke("--version").output)
+    assert re.fullmatch(rf"fleet, version \d+\.\d+\.\d+(\.dev\d+)?, cores: {cores}\n", invoke("--version").output)
 
 
 def test_a_title_that_begins_with_the_same_follows_what_it_is_the_same_as() -> None:

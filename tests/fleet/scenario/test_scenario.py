@@ -23,7 +23,7 @@ from agents.profiles import PROFILES, profile
 from agents.trajectory import StraightLine
 from fleet.errors import FleetError, ScenarioError
 from fleet.scenario.catalogue import list_scenarios
-from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.loading import load_scenario, parse_scenario, short_text
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.control import GuidanceSection, TrackingSection
 from fleet.scenario.schema.network import LinkSection, LinkStateSection
@@ -502,3 +502,24 @@ def test_an_unknown_controller_is_one_mistake() -> None:
     with pytest.raises(ScenarioError) as caught:
         load_scenario("rough-sea", ["controller=nosuch"])
     assert [problem.key for problem in caught.value.problems] == ["controller.law"]
+
+
+@pytest.mark.parametrize("name", [*SHIPPED[::4], "small"])
+def test_the_short_text_is_the_same_scenario_without_what_is_so_anyway(name: str) -> None:
+    """A scenario of 25 lines, shrunk, had 112."""
+    scenario = small("duration=2 s", "network.links={'*': loss 9%}") if name == "small" else load_scenario(name)
+    text = short_text(scenario)
+    assert parse_scenario(text, "short.yaml").to_yaml() == scenario.to_yaml()
+    assert len(text.splitlines()) < 0.65 * len(scenario.to_yaml().splitlines())
+    if name == "small":
+        assert len(text.splitlines()) < 30
+
+
+@pytest.mark.parametrize("controller", ["bc", "bsmc", "boc"])
+def test_keys_of_a_law_that_is_replaced_on_the_command_line_go_with_it(controller: str) -> None:
+    """rough-sea has bounds of guidance that not every controller reads: each can be tried. Typed ones are mistakes."""
+    changed = load_scenario("rough-sea", [f"controller={controller}"])
+    assert f"controller: {controller}" in read_back(changed).to_yaml()
+    if controller == "bc":
+        with pytest.raises(ScenarioError, match=r"guidance\.rho_lo: has no effect on guidance law fixed"):
+            load_scenario("rough-sea", ["controller=bc", "guidance.rho_lo=-1 -1 -1 m/s"])

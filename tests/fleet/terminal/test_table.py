@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
-from fleet.terminal.table import TerminalColumn, columns, fitting, show, width
+from fleet.terminal.table import TerminalColumn, columns, fitting, show, shown, width
 from fleet.terminal.width import say
 
 COLUMNS = [
@@ -39,7 +39,7 @@ def test_columns_are_left_out_by_rank() -> None:
         "link  delivered   [s]",
         "1->2         12   1.1",
         "2->1          9  2.25",
-        "no room here for mean age [s], p95 [s]: see result.json",
+        "left out at 24 columns: mean age [s], p95 [s] (see result.json)",
     ]
     kept = [[column.heading.split("\n")[0] for column in fitting(COLUMNS, most)] for most in (36, 35, 29, 20, 3)]
     assert kept[0] == ["link", "delivered", "mean", "p95", "max"]
@@ -76,3 +76,12 @@ def test_columns_of_rows() -> None:
     found = columns({"a": 0, "b": 1}, [("1", "2"), ("3", "4")])
     assert found == [TerminalColumn("a", ("1", "3")), TerminalColumn("b", ("2", "4"), 1)]
     assert columns({"a": 0, "b": 1}, []) == [TerminalColumn("a", ()), TerminalColumn("b", (), 1)]
+
+
+def test_a_table_hides_no_row_behind_one_row() -> None:
+    assert [shown(count, 4) for count in range(8)] == [0, 1, 2, 3, 4, 5, 4, 4]
+
+
+def test_columns_that_must_be_there_are_whole_in_a_file() -> None:
+    wide = [TerminalColumn("x" * 90, ["1"]), TerminalColumn("y" * 90, ["2"])]
+    assert printed(wide, 120) == ["x" * 90 + "  " + "y" * 90, " " * 89 + "1" + " " * 91 + "2"]

@@ -37,6 +37,7 @@ from fleet.result.verdict import Verdict
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.scenario.text.yaml_writer import inline
 from fleet.scenario.trust import Policy
+from fleet.terminal import table
 from netem.clock import Clock
 from netem.condition import Link
 from netem.link_selector import parse_selector, select
@@ -308,7 +309,8 @@ def _faults(why: Why) -> Iterator[str]:
         yield f"no fault had begun by {why.at_s:g} s"
         return
     yield "faults"
-    shown = sorted(why.faults, key=lambda fault: (not fault.on, -fault.from_s))[:_MOST_FAULTS]
+    room = table.shown(len(why.faults), _MOST_FAULTS)
+    shown = sorted(why.faults, key=lambda fault: (not fault.on, -fault.from_s))[:room]
     for fault in sorted(shown, key=lambda fault: fault.from_s):
         span = f"since {fault.from_s:g} s" if fault.on else f"{fault.from_s:g} to {fault.to_s:g} s"
         yield f"  {'on   ' if fault.on else 'over '}  {span}: {fault.what} ({fault.id})"
@@ -353,10 +355,11 @@ def _gap(gap: Gap, why: Why) -> str:
 
 def _vehicles(why: Why) -> Iterator[str]:
     yield f"what each {'node had heard' if why.nodes else 'vehicle knew'} at {why.at_s:g} s"
-    for vehicle in why.vehicles[:_MOST_VEHICLES]:
+    room = table.shown(len(why.vehicles), _MOST_VEHICLES)
+    for vehicle in why.vehicles[:room]:
         yield from _vehicle(vehicle, why)
-    if len(why.vehicles) > _MOST_VEHICLES:
-        yield f"  and {len(why.vehicles) - _MOST_VEHICLES} more vehicles (--json has them)"
+    if len(why.vehicles) > room:
+        yield f"  and {len(why.vehicles) - room} more vehicles (--json has them)"
 
 
 def _vehicle(then: VehicleThen, why: Why) -> Iterator[str]:

@@ -111,9 +111,10 @@ def place_of(scenario: Scenario, out: Path | None, *, force: bool) -> Path:
 def write_least(scenario: Scenario, path: Path) -> None:
     """Write the least scenario. Raises StudyError: it cannot be written; then it is printed on stderr."""
     from fleet.addons.studies.errors import StudyError
+    from fleet.scenario.loading import short_text
     from netem.whole_file import write_whole
 
-    text = scenario.to_yaml()
+    text = short_text(scenario)
     try:
         write_whole(path, text.encode(), 0o666)
     except OSError as error:

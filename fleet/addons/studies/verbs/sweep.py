@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from datetime import timedelta
 from math import isfinite
 from pathlib import Path
@@ -104,7 +105,7 @@ def sweep(
         click.echo(store.directory)
     else:
         _tell_if_all_are_the_same(store)
-        _show(store, shown)
+        _show(store, shown, [column.name for column in shown] if spec.measures else ())
 
 
 def _as_file(name: str, directory: Path | None, asked: StudySpec) -> str:
@@ -221,7 +222,8 @@ def _pieces(line: StatusLine, progress: Progress) -> list[Piece]:
     return [made, drawn, rate, Piece(2, [left, ""]), passed, failed]
 
 
-def _show(store: Store, measures: list[MeasureColumn]) -> None:
+def _show(store: Store, measures: list[MeasureColumn], asked: Collection[str]) -> None:
+    """Print the table. `asked`: the names of measures that the user named; these have room."""
     from fleet.addons.studies.measures import CHECK
     from fleet.addons.studies.statistics import LEAST, levels
     from fleet.addons.studies.summary import judged_columns, summarise
@@ -248,7 +250,7 @@ def _show(store: Store, measures: list[MeasureColumn]) -> None:
         else:
             heading = f"{_words_of(name)}\nmedian" + (f" [{unit}]" if unit else "")
             cells = [_number(one, row.runs - row.failed - row.late) for one, row in zip(found, rows, strict=True)]
-        columns.append(TerminalColumn(heading, cells, rank))
+        columns.append(TerminalColumn(heading, cells, 0 if name in asked else rank))
     counts = sorted({row.runs for row in rows}) or [0]
     seeds = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
     title = f"{store.record.scenario}, {seeds} seeds per point" + (level and f"; medians with intervals of {level}")

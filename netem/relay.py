@@ -2,7 +2,7 @@
 
 `Relay` is pure: its caller gives the time [ns, CLOCK_MONOTONIC]. Its media are those of a run in lockstep. So the fate
 of the n-th packet of a link is a function of (seed, link, n). Links delay each packet to the nanosecond. Faults, rates
-and records have the grain of a tick. In water a message waits for the next tick, because a modem has ticks.
+and records have the grain of a tick. The acoustic channel works in ticks, so a message starts at the next one.
 """
 
 from __future__ import annotations

@@ -463,8 +463,9 @@ class RelayProcess:
         names = self._names
         for i, name in names.items():
             if (kept_ns := self._kept_ns.get(i, 0)) > SLOW_NS or self._untaken[i]:
-                lost = f"; {self._untaken[i]} were not taken (receiver)" if self._untaken[i] else ""
-                self._note(f"{name} kept messages waiting for up to {kept_ns / 1e9:.3g} s{lost}")
+                waited = f"kept messages waiting for up to {kept_ns / 1e9:.3g} s" if kept_ns > SLOW_NS else ""
+                lost = f"did not take {self._untaken[i]} messages (lost: receiver)" if self._untaken[i] else ""
+                self._note(f"{name} {' and '.join(filter(None, (waited, lost)))}")
         for i, count in sorted(self._refused.items()):
             most = f"more than {RELAY_WAITING.items} messages or {RELAY_WAITING.bytes >> 20} MiB waited for the relay"
             self._note(f"{names[i]}: {most}; {count} were lost (queue)")

@@ -73,10 +73,10 @@ def summary(timing: Timing) -> str:
     said = [f"clock: real, {timing.speed:g} x, a tick every {timing.world.period_ms:g} ms"]
     if responses:
         slow = max(responses, key=lambda spread: spread.p99_ms)
-        said.append(f"slowest agent answers in {slow.p50_ms:.2g} ms (median), {slow.p99_ms:.2g} ms (p99)")
+        said.append(f"slowest agent answers in {_time(slow.p50_ms)} (median), {_time(slow.p99_ms)} (p99)")
     if hop.count:
         early = f"{hop.count - margin.negative} of {hop.count} deliveries in time"
-        said.append(f"network to agent {hop.p50_ms:.2g} ms (median), {hop.p99_ms:.2g} ms (p99), {early}")
+        said.append(f"network to agent {_time(hop.p50_ms)} (median), {_time(hop.p99_ms)} (p99), {early}")
     return "; ".join(said)
 
 
@@ -93,9 +93,9 @@ def punctual(found: Punctual, asked: PunctualCheck | None) -> Verdict:
     share, least = above / max(1, count), wilson_low(above, count)
     words = f"at most {asked.at_most * 100:g} % later than {limit_ms:g} ms"
     late, came = found.late, found.came
-    said = f"{share:.2%} of this process, at least {least:.2%}; handed over {late.p50_ms:.2g} ms (p50), "
-    said += f"{late.p99_ms:.2g} ms (p99), {late.max_ms:.3g} ms (worst) after the due time; "
-    said += f"taken within {came.p99_ms:.2g} ms (p99)"
+    said = f"{share:.2%} of messages and probes, at least {least:.2%}; handed over {_time(late.p50_ms)} (p50), "
+    said += f"{_time(late.p99_ms)} (p99), {_time(late.max_ms)} (worst) after the due time; "
+    said += f"taken within {_time(came.p99_ms)} (p99)"
     if found.programs:
         node, delayed, low = max((_delayed(*item, limit_ms) for item in found.programs.items()), key=lambda row: row[2])
         said += f"; programs of {node} waited longer for a processor in {delayed:.2%} of the times in which they ran, "
@@ -109,6 +109,11 @@ def _delayed(node: str, waits: Spread, limit_ms: float) -> tuple[str, float, flo
     """A node, how much of the time its programs were delayed, and the lower end of the interval of that share."""
     share = later(waits, limit_ms)
     return node, share, wilson_low(share * waits.count, waits.count)
+
+
+def _time(ms: float) -> str:
+    """A time in words."""
+    return f"{ms:.3g} ms" if ms < 999.5 else f"{ms / 1e3:.3g} s"
 
 
 def wilson_low(hits: float, count: int) -> float:

@@ -348,7 +348,7 @@ class _Liveness:
 
     def _since_when(self, begin: int) -> str:
         at = f"{begin * self._tick_ns / 1e9:g} s"
-        return f"fault {self._whose} ended at {at}" if self._whose else at
+        return f"the end of fault {self._whose} at {at}" if self._whose else at
 
     def found(self, now: int, *, over: bool) -> _Found:
         asked = self._asked

@@ -127,7 +127,7 @@ class Published(Struct):
     """The journal on zenoh, with `--publish`."""
 
     messages: int
-    dropped: Annotated[int, Meta(description="Nobody took them in time.")]
+    dropped: Annotated[int, Meta(description="Messages that their receiver did not take in time.")]
 
 
 class Result(Struct, kw_only=True):

@@ -310,7 +310,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
     bar.set_label("age [s], peaks")
     plain_decades(bar.ax.yaxis)
-    finish(figure, axes, runs, [f"peaks and means: of {edges[1] - edges[0]:.2g} s each"])
+    finish(figure, axes, runs, [f"peak and mean in bins of {edges[1] - edges[0]:.2g} s"])
     return figure
 
 

@@ -1,4 +1,4 @@
-"""A run between robots that are not ours: a relay in a process of its own; here its log and its operator.
+"""A run whose robots are other programs: a relay in a process of its own; here its log and its operator.
 
 It is a `Runner`, and for the operator a `Fleet` whose faults are those of the network alone.
 """

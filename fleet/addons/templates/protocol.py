@@ -14,7 +14,7 @@ class TheLaw:
 
     # What you report at every sample. It lands in the log as control.there and control.first, with these units.
     signals = (
-        Signal("there", "1", "number of vehicles that it takes to be there, with its own"),
+        Signal("there", "1", "vehicles that it believes present, itself included"),
         Signal("first", "1", "lowest number of these"),
     )
 

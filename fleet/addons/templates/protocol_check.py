@@ -29,9 +29,9 @@ class TheLawCheck:
         if wrong and passed > self._within:
             # The first failure decides. The run goes on, and its verdict names tick, vehicles and values.
             return Failure(
-                f"{len(living)} are there, and some count otherwise",
+                f"{len(living)} vehicles are there, and some count otherwise",
                 tuple(wrong),
-                {f"counted by {i}": count for i, count in wrong.items()},
+                {f"vehicle {i} counts": count for i, count in wrong.items()},
             )
         if wrong:
             self._slowest = max(self._slowest, passed)

@@ -320,7 +320,7 @@ def test_the_ages_say_what_is_drawn(runs: dict[str, Run]) -> None:
     figure = figure_of(runs["faulty"], "ages", "ages")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["oldest link, peaks", "median link, means"]
-    assert "peaks and means: of " in figure.axes[1].get_xlabel()
+    assert "peak and mean in bins of " in figure.axes[1].get_xlabel()
     assert figure.axes[-1].get_ylabel() == "age [s], peaks"
 
 

@@ -95,7 +95,7 @@ def spread(count: int, late: int) -> Spread:
 def test_two_late_probes_of_few_fail_nothing() -> None:
     """A run of 25 s in which no message was late."""
     verdict = timing.punctual(Punctual(spread(100, 0), spread(100, 2)), None)
-    assert (verdict.passed, verdict.found[:30]) == (True, "1.00% of this process, at leas")
+    assert (verdict.passed, verdict.found[:30]) == (True, "1.00% of messages and probes, ")
     assert timing.punctual(Punctual(spread(10, 0), spread(100, 2)), None).passed
     assert not timing.punctual(Punctual(spread(100, 20), spread(100, 0)), None).passed
     assert timing.punctual(Punctual(spread(0, 0), spread(0, 0)), None).passed

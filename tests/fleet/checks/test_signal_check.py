@@ -126,7 +126,7 @@ def test_liveness_counts_from_the_end_of_every_fault() -> None:
     assert verdict.asked == "nav.z below 8 m within 300 ms after every fault"
     late = one(every, after(0.1, 0.35), faults=FAULTS)
     assert not late.passed and late.moment is not None and late.moment.at_s == 3.31
-    assert late.found.startswith("not within 0.3 s after fault jam ended at 3 s (vehicle 2)")
+    assert late.found.startswith("not within 0.3 s after the end of fault jam at 3 s (vehicle 2)")
     assert one(every.replace("every", "cut"), after(0.1, 0.35), faults=FAULTS).passed
 
 

@@ -54,7 +54,7 @@ CAUSES: dict[str, str] = {
     Cause.DEAD_RECEIVER: "the receiver's agent was gone",
     Cause.RECEIVER: "the receiver's program did not take it",
     CORRUPTED: "it arrived damaged",
-    ON_THE_WAY: "it was still on the way",
+    ON_THE_WAY: "still in flight",
     NOT_SENT: "the sender sent nothing",
 }
 

@@ -240,7 +240,7 @@ class HealingSearch:
         if how == "scanned":
             runs += ", and some that were healed earlier do not pass"
         if low is None:
-            words = f"healing does not help: no healed run passes, not even the one without any fault ({runs})"
+            words = f"it fails even without faults ({runs})"
             return NoReturn(how, words, None, tried[0].at_s, tried)
         passes = self._known[self._moments[low].tick]
         if high is None:

@@ -105,11 +105,11 @@ class Explanation:
         self._differs, self._before = self._of_origin(source)
         self._remade = None if self._why_not else self._remake()
         if self._remade is not None and self._remade.broken:
-            self._why_not, self._remade = f"the run does not come to its end: {self._remade.broken}", None
+            self._why_not, self._remade = f"the run breaks: {self._remade.broken}", None
         verdicts = recorded_verdicts if self._remade is None else self._remade.verdicts
         if not verdicts:
-            raise FleetError(f"{source.path}: what its checks came to is not known: {self._why_not}, and no "
-                             "result.json beside it has verdicts of it")  # fmt: skip
+            why_not = f"{self._why_not}, and there is no result.json of it beside it"
+            raise FleetError(f"{source.path}: there is no verdict to explain: {why_not}")
         self.verdict, self._others = _chosen(source.path, verdicts, question.check)
         before = next((one for one in recorded_verdicts if one.check == self.verdict.check), None)
         if before is not None and before.found != self.verdict.found:

@@ -376,6 +376,20 @@ class RelayRun:
             self.closing.verdicts.append(verdict)
         self.deaths = programs.deaths()
         self.notes += programs.silent()
+        if self._begun:
+            self.notes += self._mute()
+
+    def _mute(self) -> list[str]:
+        """Notes on nodes from which nothing came: their programs may reach each other without us."""
+        sent = {src for (src, _), (count, _) in self.closing.entered.items() if count}
+        started = {state.node for state in self._programs.states.values()}
+        mute = [self._scenario.nodes[i - 1] for i in sorted(started - sent)]
+        if not mute:
+            return []
+        if not sent:
+            return ["no program sent anything through this network: do they reach each other without it, by addresses "
+                    "of their own or by multicast?"]  # fmt: skip
+        return [f"nothing came from {some(mute)}, and no packet of theirs was delayed or lost"]
 
     def _frames(self, *, whole: bool = False) -> None:
         """Write the frames up to where relay and programs have told everything. `whole`: up to the end of the run."""

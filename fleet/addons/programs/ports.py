@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from agents.packets import V4
 from fleet.addons.programs.known_ports import NAVIGATION_PORT
-from fleet.addons.programs.packets import V4
 
 FIRST_FREE, LAST = 49152, 65535  # RFC 6335: the ports that nobody is registered for
 _STREAM, _REUSES, _SHARES, _ONLY_V6 = 1, 2, 4, 8  # SO_REUSEADDR or SO_REUSEPORT; SO_REUSEPORT; IPV6_V6ONLY

@@ -16,11 +16,11 @@ from typing import Any, ClassVar
 
 import fleet
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
+from agents.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.attachment import attachment
 from fleet.addons.programs.home import copy_of_disk
 from fleet.addons.programs.known_ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
 from fleet.addons.programs.line_signal import LineSignal
-from fleet.addons.programs.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.shared_sockets import KINDS as SOCKET_KINDS
 from fleet.addons.programs.shared_sockets import SharedSockets

@@ -15,7 +15,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from fleet.addons.programs.packets import V4, Segment, node_address
+from agents.packets import V4, Segment, node_address
 
 SYN, SYN_ACK, DATA, FIN, RST = 1, 2, 3, 4, 5
 WINDOW = 1 << 16

@@ -27,6 +27,7 @@ from agents.laws.kinematics import earth_velocity, flight_path
 from agents.message import pack, unpack
 from agents.sample import NeighbourState, Sample, VelocityCommand
 from agents.trajectory import Motion
+from agents.udp_port import Received, UdpPort
 from netem.wire.messages import Delivery, Nav, Said
 from world.signal import Signal
 from world.vectors import Vec3, Vec5
@@ -41,11 +42,13 @@ __all__ = [
     "Nav",
     "NeighbourState",
     "PayloadError",
+    "Received",
     "Said",
     "Sample",
     "Signal",
     "Telemetry",
     "Tracking",
+    "UdpPort",
     "Vec3",
     "Vec5",
     "VelocityCommand",

@@ -91,6 +91,7 @@ class ProcessAgent:
         self._history: list[tuple[int, list[Delivery], Nav | None]] = []
         self.values: dict[str, float | None] = dict.fromkeys(each.name for each in self.reads)
         self._said: list[Said] = []
+        self._unheard: set[int] = set()  # neighbours whose laws send what no program can hear
         self._write_line = line_writer(f"agent-{config.id}.log")
         self._disk = kept_folder(f"agent-{config.id}")
         self._disk_before = None if self._disk is None else copy_of_disk(self._disk)
@@ -111,11 +112,20 @@ class ProcessAgent:
         tau, _ = self._formation.decide(nav, deliveries)
         steers = None if self._config.moored else nav
         packets = [each for each in deliveries if each.payload[:3] == b"\x81\x01p"]
+        self._note_laws(now_ns, deliveries)
         if os.getpid() != self._owner:
             self._repeat()
         self._history.append((now_ns, packets, steers))
         life = self._step(now_ns, packets, steers, tell=True)
         return life.vehicle.demand(nav) or tau, self.values
+
+    def _note_laws(self, now_ns: int, deliveries: Iterable[Delivery]) -> None:
+        """Say once of each neighbour that a law of it sends what no program can hear."""
+        for each in deliveries:
+            if each.payload[:1] == b"\x81" and each.payload[:3] != b"\x81\x01p" and each.src not in self._unheard:
+                self._unheard.add(each.src)
+                text = f"no program hears what the law of vehicle {each.src} sends: UdpPort of agents.api makes packets"
+                self._said.append(Said(now_ns, "err", text))
 
     def _repeat(self) -> None:
         """Start the program again, with all that came: this process is a copy by fork, and it belongs to the first."""

@@ -214,3 +214,70 @@ def test_the_node_of_a_vehicle_that_ends_is_a_failure(tmp_path: Path, monkeypatc
     result = fleet.run("own.yaml", out=tmp_path / "runs")
     assert lines(result)[-1] == "failed: the node of its vehicle has ended, see its lines"
     assert "err: ImportError: none is here" in lines(result)
+
+
+LAW = """
+from agents.api import FormationAgent, Signal, UdpPort
+
+
+class Talks:
+    signals = (Signal("heard", "1", "answers of programs"),)
+
+    def __init__(self, config):
+        self._formation, self._port, self._heard = FormationAgent(config), UdpPort(config, 9000), 0
+
+    def transmit(self, nav):
+        return self._port.send(b"ping " + b"x" * 3000)
+
+    def decide(self, nav, deliveries):
+        self._heard += sum(one.data.startswith(b"pong") for one in self._port.receive(deliveries))
+        return self._formation.decide(nav, ())[0], {"heard": self._heard}
+"""
+ANSWERS = """
+import socket
+s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+s.bind(("", 9000))
+for n in range(3):
+    data, who = s.recvfrom(65536)
+    print(len(data), who, flush=True)
+    s.sendto(b"pong", who)
+while True:
+    s.recvfrom(65536)
+"""
+
+
+BOTH = """
+title: A law and a program
+vehicles: 2
+moored: true
+duration: 1 s
+graph: {{shape: complete}}
+network: {{period: 100 ms, links: {{"*": delay 20ms}}}}
+agent: {agent}
+per_vehicle: {{2: {{agent: {{program: {program}}}}}}}
+"""
+
+
+def test_laws_and_programs_of_one_scenario_hear_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both were accepted, and deaf to each other."""
+    monkeypatch.chdir(tmp_path)
+    Path("talks.py").write_text(LAW)
+    Path("answers.py").write_text(ANSWERS)
+    Path("both.yaml").write_text(BOTH.format(agent='{law: "talks:Talks"}', program="answers.py"))
+    result = fleet.run("both.yaml", out=tmp_path / "runs", trust=True)
+    assert result.status is Status.PASS, result.lines
+    assert lines(result, 2)[:2] == ["3005 ('10.0.0.1', 9000)"] * 2
+    assert result.vehicles["1"].signals["heard"].value == 3.0
+
+
+def test_a_law_whose_payloads_no_program_hears_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("waits.py").write_text("import time\ntime.sleep(0.5)\n")
+    law = "{law: 'fleet.protocols.average:ExactAverage'}"
+    Path("both.yaml").write_text(BOTH.format(agent=law, program="waits.py"))
+    result = fleet.run("both.yaml", out=tmp_path / "runs")
+    assert result.directory is not None
+    said = fleet.open_log(result.directory, ["said/*"])["said/2"]["message"].tolist()
+    assert [text for text in said if "law of vehicle 1" in text] == [
+        "no program hears what the law of vehicle 1 sends: UdpPort of agents.api makes packets"
+    ]

@@ -46,6 +46,7 @@ class Setup(Struct):
     lost_after_ns: int = 0
     watched: tuple[Watched, ...] = ()
     modems: tuple[Any, ...] = ()  # modems that programs open: each a `ModemEndpoint`
+    isolated: tuple[int, ...] = ()  # robots whose programs are in a network namespace of their own
     ticks: int = 2**62  # the length of the run, if the console does not end it
 
 
@@ -65,6 +66,7 @@ class Opened(Struct):
 
     ports: dict[int, int] = {}  # by robot whose address leaves its port open: the port of our router
     modems: dict[int, str] = {}  # by robot: the port of its modem, or the path of its terminal
+    namespaces: dict[int, tuple[str, ...]] = {}  # by robot: the files that its programs enter, in this order
     problem: str = ""  # why the relay cannot begin
 
 

@@ -29,10 +29,11 @@ from netem.endpoint import ModemEndpoint, ModemRequest, Sea
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
+from netem.isolated import IpPacket, IsolatedRobots
 from netem.limits import LINK_UNDER_WAY, LONGEST_DATAGRAM, RELAY_WAITING
 from netem.relay import DueMessage, MessageFate, Relay
 from netem.relay_messages import LoggedMessage, Opened, Port, RelayReport, Setup, WatchedMessage
-from netem.robot_message import DATAGRAM, MODEM, PUT, QUERY, REPLY, RobotMessage
+from netem.robot_message import DATAGRAM, MODEM, PACKET, PUT, QUERY, REPLY, RobotMessage
 from netem.wire import robots
 from netem.wire.queries import OpenQueries, Ticket
 from netem.wire.robot_queues import Inlet
@@ -72,7 +73,7 @@ def run(pipe: Connection, setup: Setup) -> None:
     except BusError as error:
         pipe.send_bytes(msgspec.msgpack.encode(Opened(problem=str(error))))
         return
-    pipe.send_bytes(msgspec.msgpack.encode(Opened(process.ports, process.opened)))
+    pipe.send_bytes(msgspec.msgpack.encode(Opened(process.ports, process.opened, process.isolated_files)))
     try:
         begin_ns = msgspec.msgpack.decode(pipe.recv_bytes())["at_ns"]
         gc.freeze()
@@ -114,6 +115,7 @@ class RelayProcess:
         self._told: set[str] = set()
         self._who: dict[str, int] = {}  # by zenoh id of a router: the robot that reaches it
         self._came = Histogram()  # how long what comes waits for this process
+        self._isolated = IsolatedRobots(setup.isolated, self._names, setup.config.links)  # before there is any thread
         try:
             for access in setup.robots:
                 if access.listen or access.connect:
@@ -131,6 +133,11 @@ class RelayProcess:
             if dst in self._robots:
                 self._hearers.setdefault(src, set()).add(dst)
         self._twice()
+
+    @property
+    def isolated_files(self) -> dict[int, tuple[str, ...]]:
+        """By robot in a network namespace of its own: the files that its programs enter."""
+        return self._isolated.files
 
     @property
     def ports(self) -> dict[int, int]:
@@ -161,6 +168,7 @@ class RelayProcess:
         Thread(target=self._listen, daemon=True).start()
         for port in self._setup.ports:
             Thread(target=self._receive, args=(port, self._sockets[port.src, port.dst]), daemon=True).start()
+        self._isolated.listen(self._inlets)
         for i, robot in self._robots.items():
             robot.begin()
             if i in self._setup.place_topics:
@@ -272,6 +280,12 @@ class RelayProcess:
                     if watched.robot == port.src and watched.key == key:
                         self._watched.append(WatchedMessage(which, at_ns, key, payload))
                 self._send_message(RobotMessage(port.src, DATAGRAM, key, payload, at_ns, port, port.dst))
+            case IpPacket():
+                self._inlets[item.robot].release(len(item.payload))
+                if isinstance(message := self._isolated.message(item), str):
+                    self._note(message)
+                else:
+                    self._send_message(message)
             case ModemRequest(robot):
                 key = f"{MODEM}/{item.to}/{item.what}"
                 self._send_message(RobotMessage(robot, MODEM, key, item.payload, monotonic_ns(), item))
@@ -346,6 +360,10 @@ class RelayProcess:
                 at_ns = monotonic_ns()
                 relay.late.add(at_ns - due.due_ns)
                 self._has_ended(due, at_ns, delivered=self._sent(due))
+            elif due.message.kind == PACKET:
+                at_ns = monotonic_ns()
+                relay.late.add(at_ns - due.due_ns)
+                self._has_ended(due, at_ns, delivered=self._isolated.hand(due.dst, due.payload))
             elif due.message.kind == MODEM and (modem := self._modems.get(due.dst)) is not None:
                 self._heard(due, modem, relay)
             elif not self._offered(due):
@@ -522,6 +540,7 @@ class RelayProcess:
                 inlet.offer(_Datagram(port, monotonic_ns(), payload, sender), len(payload), name)
 
     def _close(self) -> None:
+        self._isolated.close()
         for each in self._sockets.values():
             each.close()
         self.close_modems()

@@ -6,7 +6,9 @@ from typing import Any
 
 from msgspec import Struct
 
-PUT, DELETE, QUERY, REPLY, DATAGRAM, MODEM = ("put", "delete", "query", "reply", "datagram", "modem")
+PUT, DELETE, QUERY, REPLY, DATAGRAM, MODEM, PACKET = (
+    "put", "delete", "query", "reply", "datagram", "modem", "packet",
+)  # fmt: skip
 
 
 class RobotMessage(Struct):

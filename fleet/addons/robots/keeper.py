@@ -39,7 +39,7 @@ DOWN_S = 120.0  # for docker to bring containers down, if the console cannot
 AGAIN = "--- started again ---"  # a line of the log, where another life begins
 IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
-_LIBC = ctypes.CDLL(None)
+_LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 class TooSlow(Exception):
@@ -329,6 +329,11 @@ class Program:
             signal.signal(number, signal.SIG_DFL)
         if self._values["nice"]:
             os.nice(self._values["nice"])
+        # A network namespace, and without root the user namespace around it, from where the other is out of reach.
+        for file in [os.open(path, os.O_RDONLY | os.O_CLOEXEC) for path in self._values["enter"]]:
+            if _LIBC.setns(file, 0):
+                raise OSError(ctypes.get_errno(), "a network namespace cannot be entered")
+            os.close(file)
 
     def read(self) -> None:
         """Take what it has printed."""

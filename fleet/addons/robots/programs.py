@@ -29,6 +29,7 @@ from fleet.scenario.schema.programs import DONE, ProgramSection, filled, program
 from fleet.scenario.sections.node_signals import told_by
 from netem.fault_kinds import WorldFaultKind
 from netem.histogram import Histogram
+from netem.namespaces import address
 from netem.relay_messages import Watched, WatchedMessage
 from netem.relay_process import MOST_NOTES
 from netem.wire.messages import WorldFault
@@ -138,12 +139,19 @@ class Programs:
 
     # Before the run begins.
 
-    def start(self, addresses: Mapping[str, str], modems: Mapping[str, str], meanwhile: Callable[[], None]) -> None:
+    def start(
+        self,
+        addresses: Mapping[str, str],
+        modems: Mapping[str, str],
+        namespaces: Mapping[str, tuple[str, ...]],
+        meanwhile: Callable[[], None],
+    ) -> None:
         """Start the programs. Raises RunBroken: the keeper cannot start, or docker refuses.
 
         Args:
             addresses: where they meet us, by node.
             modems: where they open a modem, by node.
+            namespaces: the files of the namespaces that they enter, by node.
             meanwhile: called again and again while docker brings containers up, which may take minutes.
         """
         if not self.states:
@@ -152,7 +160,11 @@ class Programs:
         planned_ns = monotonic_ns() + BEFORE_NS + after + (self._scenario.spec.begin or 0)
         uses = any(_EARLY in text for s in self.states.values() for text in (*s.section.run, *s.section.env.values()))
         self._planned_ns = planned_ns if uses else None
-        values = [self._values_of(state, addresses, modems, planned_ns) for state in self.states.values()]
+        values = [
+            self._values_of(state, addresses, modems, planned_ns)
+            | {"enter": namespaces.get(self._scenario.nodes[state.node - 1], ())}
+            for state in self.states.values()
+        ]
         try:
             self._keeper = subprocess.Popen(
                 [sys.executable, "-I", keeper.__file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
@@ -180,6 +192,7 @@ class Programs:
             file.write_text(json.dumps(connect | {"scouting": {"multicast": {"enabled": False}}}))
         known = {
             "listen": listen, "zenoh": file, "modem": modems.get(node, ""), "node": node, "number": state.node,
+            "address": address(state.node),
             "seed": self._scenario.seed,
             "begin_s": f"{begin_ns / 1e9:.3f}", "duration_s": f"{self._scenario.duration_ns / 1e9:g}",
             "dir": self._directory, "domain": os.environ.get("ROS_DOMAIN_ID", "0"),

@@ -110,6 +110,7 @@ def setup_of(
         lost_after_ns=spec.lost_after or LOST_AFTER_NS,
         watched=tuple(watched),
         modems=tuple(modems_of(scenario)),
+        isolated=tuple(i for i, node in nodes if node.isolate),
         ticks=scenario.ticks,
     )
 
@@ -228,6 +229,7 @@ class RelayRun:
             raise RunBroken(opened.problem)
         ports = {self._scenario.nodes[i - 1]: port for i, port in opened.ports.items()}
         self._modems = {self._scenario.nodes[i - 1]: where for i, where in opened.modems.items()}
+        self._namespaces = {self._scenario.nodes[i - 1]: enter for i, enter in opened.namespaces.items()}
         self._found = {name: f"{_FREE.removesuffix(ANY_PORT)}:{ports[name]}" for name in self._found}
         self.waiting = ""
         # Not before: a program that comes too early is refused.
@@ -249,7 +251,7 @@ class RelayRun:
             return
         self._tell(op="rehearse", at_ns=None)
         self.waiting = "starting the programs"
-        programs.start(self._addresses, self._modems, meanwhile)
+        programs.start(self._addresses, self._modems, self._namespaces, meanwhile)
         while True:
             programs.hear()
             if not (unready := programs.unready()):

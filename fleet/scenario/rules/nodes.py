@@ -31,6 +31,7 @@ def nodes(parts: Parts, report: Report) -> None:
             report.add(("checks", "punctual"), "has no effect without nodes", "on_time judges a run in real time")
         return
     _addresses(parts, report)
+    _isolated(parts, report)
     _ports(parts, report)
     _keys(parts, report)
     water, free = spec.network.acoustic is not None, without_address(spec.nodes)
@@ -139,6 +140,43 @@ def _addresses(parts: Parts, report: Report) -> None:
             )
         if node.zenoh and not (node.listen or node.connect or name in free):
             report.add((*path, "zenoh"), "has no effect without listen or connect", key=True)
+
+
+def _isolated(parts: Parts, report: Report) -> None:
+    """Who is in a network namespace of its own has its neighbours there, and nobody else."""
+    spec = parts.spec
+    assert spec.nodes is not None
+    alone = [name for name, node in spec.nodes.items() if node.isolate]
+    if not alone:
+        return
+    if others := [name for name in spec.nodes if name not in alone]:
+        report.add(("nodes", others[0]), "nobody reaches it: others are isolated", "isolate: yes, for all nodes")
+    running = {node for _, node, _ in programs_of(spec.programs or {}, list(spec.nodes))}
+    for name in alone:
+        node, path = spec.nodes[name], ("nodes", name)
+        for key in ("listen", "connect", "udp", "modem", "zenoh"):
+            if getattr(node, key):
+                hint = "its programs meet at 10.0.0.1, 10.0.0.2, ...: {address} is the own one"
+                report.add((*path, key), "has no effect: an isolated node is a network interface", hint, key=True)
+        if isinstance(node.place, TopicPlace):
+            report.add((*path, "place"), "nobody hears topics of an isolated node", "place: 0 0 10 m")
+        if name not in running:
+            report.add(path, "is isolated and has no program: nobody joins it from outside", "programs: ...")
+    for where, section in (spec.programs or {}).items():
+        for key in ("token", "key", "port"):
+            if getattr(section.ready, key) is not None:
+                hint = "ready: {line: ...}, or {after: 2 s}"
+                report.add(("programs", where, "ready", key), "is not seen of an isolated node", hint, key=True)
+    for where, signal in (spec.signals or {}).items():
+        if signal.message is not None:
+            report.add(("signals", where, "message"), "is not seen of isolated nodes", "line: of a program", key=True)
+    if spec.compose is not None:
+        report.add(("compose",), "containers are outside of the isolated nodes", "start programs in their place")
+    if spec.network.acoustic is not None:
+        report.add(("network", "acoustic"), "has no IP: packets of programs are too long for modems", "links, or modem")
+    for key in ("carry", "discovery"):
+        if getattr(spec, key) is not None:
+            report.add((key,), "has no effect on isolated nodes, whose packets are not of zenoh", key=True)
 
 
 def _is_here(host: str) -> bool:

@@ -37,7 +37,10 @@ def _endpoint(value: Any) -> Any:
 
 def _flag(value: Any) -> Any:
     """YAML 1.2 reads yes and no as texts."""
-    return {"yes": True, "no": False}.get(value, value) if isinstance(value, str) else value
+    found = {"yes": True, "no": False}.get(value, value) if isinstance(value, str) else value
+    if isinstance(found, str):
+        raise mistake(f"expected yes or no, got {describe_value(value)}")
+    return found
 
 
 def _port(value: Any) -> Any:
@@ -120,6 +123,7 @@ class Node(Section):
     udp: dict[Annotated[str, BeforeValidator(_port)], Annotated[str, BeforeValidator(_target)]] = {}
     host: str = LOOPBACK  # the address of this machine on which its ports of `udp` are; 0.0.0.0: all
     modem: ModemPortSection | None = None
+    isolate: Annotated[bool, BeforeValidator(_flag)] = False  # its programs are in a network namespace of their own
     place: TopicPlace | v.Position | None = None  # NED; in ROS topics ENU
 
 
@@ -129,7 +133,7 @@ def without_address(nodes: Mapping[str, Node]) -> list[str]:
 
     def has_none(name: str, node: Node) -> bool:
         modem_alone = node.modem is not None and not isinstance(node.place, TopicPlace)
-        return not (node.listen or node.connect or node.udp or name in receives or modem_alone)
+        return not (node.listen or node.connect or node.udp or node.isolate or name in receives or modem_alone)
 
     return [name for name, node in nodes.items() if has_none(name, node)]
 

@@ -17,7 +17,9 @@ from fleet.scenario.schema.nodes import Flag
 from fleet.scenario.value_types import Section, mistake
 from netem.parsing import nearest
 
-PLACEHOLDERS = ("listen", "zenoh", "modem", "node", "number", "seed", "begin_s", "duration_s", "dir", "domain")
+PLACEHOLDERS = (
+    "listen", "zenoh", "modem", "address", "node", "number", "seed", "begin_s", "duration_s", "dir", "domain",
+)  # fmt: skip
 READY_WITHIN_NS, STOP_WITHIN_NS = 20_000_000_000, 5_000_000_000
 _PROGRAM = re.compile(r"[\w.*?-]{1,64}(/[A-Za-z][\w.-]{0,31})?", re.ASCII)
 _SIGNAL = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}", re.ASCII)

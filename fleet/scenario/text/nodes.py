@@ -20,7 +20,7 @@ from netem.parsing import nearest
 
 KEYS = (
     "name", "title", "nodes", "programs", "compose", "begin", "signals", "carry", "discovery", "lost_after", "header",
-    "fragments", "duration", "tick", "seed",
+    "fragments", "isolate", "duration", "tick", "seed",
     "graph", "network", "faults", "nemesis", "checks", "log", "expect", "group", "stall_timeout",
 )  # fmt: skip
 UNTIL_STOPPED_NS = 86_400 * 10**9
@@ -35,6 +35,7 @@ _EDGE = re.compile(r"\s*(\w+)\s*(<->|->|-)\s*(\w+)\s*", re.ASCII)
 
 def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
     """The tree of a scenario with nodes as that of one with vehicles; mistakes in names are added to `problems`."""
+    root = _isolated(root)
     nodes = root.entries["nodes"]
     if not isinstance(nodes, Mapping):
         return root
@@ -66,6 +67,18 @@ def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
         if key not in root.entries:
             root = root.with_entry(key, nodes.place, _tree(value, nodes.place))
     return root
+
+
+def _isolated(root: Mapping) -> Mapping:
+    """The tree with `isolate` at each node, if it is given for all."""
+    nodes, all_of_them = root.entries["nodes"], root.entries.get("isolate")
+    if all_of_them is None or not isinstance(nodes, Mapping):
+        return root
+    for name, node in nodes.entries.items():
+        if isinstance(node, Mapping) and "isolate" not in node.entries:
+            one = Mapping(node.entries | {"isolate": all_of_them}, node.keys | {"isolate": node.place}, node.place)
+            nodes = Mapping(nodes.entries | {name: one}, nodes.keys, nodes.place)
+    return root.with_entry("nodes", root.keys["nodes"], nodes).without("isolate")
 
 
 def still(root: Mapping) -> Mapping:

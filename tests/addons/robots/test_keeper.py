@@ -48,7 +48,7 @@ class Keeping:
         usual = {
             "name": name, "node": name.partition("/")[0], "argv": argv, "env": dict(os.environ), "folder": ".",
             "nice": 0, "signals": [], "log": str(self.folder / f"{name}.log"), "line": None, "port": None,
-            "after_ns": None, "stop": "TERM", "stop_within_ns": 60 * 10**9,
+            "after_ns": None, "enter": [], "stop": "TERM", "stop_within_ns": 60 * 10**9,
         }  # fmt: skip
         return usual | values
 

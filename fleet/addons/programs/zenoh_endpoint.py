@@ -57,21 +57,32 @@ class _Straight(Inlet):
 
 
 class ZenohEndpoint:
-    """The endpoint of one agent. Threads of zenoh and the thread of the datagrams share it."""
+    """The endpoint of one agent. Threads of zenoh and the thread that hears the water share it."""
 
-    def __init__(self, number: int, heard: Sequence[int]) -> None:
-        """Open the router and the socket.
+    def __init__(
+        self,
+        number: int,
+        heard: Sequence[int],
+        send: Callable[[bytes, int | None], object],
+        *,
+        listen: str = f"tcp/[::]:{ZENOH_PORT}",
+        carry: Sequence[str] = ("**",),
+        command: Callable[[bytes], object] = lambda _: None,
+        wake: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Open the router.
 
         Args:
             number: of the agent.
             heard: the agents that hear this one's queries, and that it hears.
+            send: sends a datagram to the endpoint of an agent, None: of all; called on threads of zenoh, too.
+            listen: where programs connect.
+            carry: key expressions of what leaves.
+            command: gets what programs put on `self/cmd`.
+            wake: called when `tick` has to be called soon.
         """
         self._number, self._lock = number, Lock()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        self._socket.bind(("0.0.0.0", WATER_PORT))
-        self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._vehicle.bind(("127.0.0.1", NAVIGATION_PORT))
+        self._send_datagram, self._command, self._wake = send, command, wake
         self._tickets: dict[int, Ticket] = {}
         self._numbers: dict[Ticket, int] = {}
         self._count = count(1)
@@ -81,33 +92,27 @@ class ZenohEndpoint:
         self._shown: dict[int, set[str]] = {}
         self._heard_ns: dict[int, int] = {}
         self._parts: dict[tuple[int, int], dict[int, bytes]] = {}
-        self._robot = Robot(
-            RobotEndpoint(number, f"auv{number}", listen=f"tcp/[::]:{ZENOH_PORT}"), ["**"], _Straight(self._take)
-        )
+        self._robot = Robot(RobotEndpoint(number, f"auv{number}", listen=listen), [*carry], _Straight(self._take))
         self._robot.begin()
 
-    def serve(self) -> None:
-        """Hand over what comes from the water, without an end."""
-        self._socket.sendto(b"", ("127.0.0.1", READY_PORT))
-        due_ns = monotonic_ns()
-        while True:
-            now_ns = monotonic_ns()
-            if now_ns >= due_ns:
-                due_ns = now_ns + round(TOKENS_S * 1e9)
-                with self._lock:
-                    self._tell_tokens()
-                    self._expire(now_ns)
-            left_s = max(0.0, (due_ns - monotonic_ns()) / 1e9) if self._busy else None
-            for ready in select.select([self._socket, self._vehicle], [], [], left_s)[0]:
-                data, (address, _) = ready.recvfrom(1 << 16)
-                if ready is self._vehicle:
-                    with suppress(BusError):
-                        self._robot.say(NAVIGATION, data)
-                else:
-                    self._hear(int.from_bytes(socket.inet_aton(address)[2:], "big"), data)
+    def tick(self, now_ns: int) -> None:
+        """Tell the own tokens again, and let those go that nobody tells; every `TOKENS_S`."""
+        with self._lock:
+            self._tell_tokens()
+            self._expire(now_ns)
+
+    def say(self, key: str, payload: bytes) -> None:
+        """Put something for the own programs alone."""
+        with suppress(BusError):
+            self._robot.say(key, payload)
+
+    def close(self) -> None:
+        """Close the router."""
+        self._robot.close()
 
     @property
-    def _busy(self) -> bool:
+    def busy(self) -> bool:
+        """Whether there are tokens, so that `tick` has something to do."""
         return bool(self._own_tokens or self._shown or monotonic_ns() < self._tokens_end_ns)
 
     # What the own programs say; on a thread of zenoh.
@@ -127,7 +132,7 @@ class ZenohEndpoint:
             return
         if message.key.startswith(OWN):
             if message.key == COMMAND and message.kind == PUT:
-                self._socket.sendto(message.payload, ("127.0.0.1", COMMAND_PORT))
+                self._command(message.payload)
             elif message.kind == QUERY:
                 message.what.end()
             return
@@ -166,10 +171,6 @@ class ZenohEndpoint:
         self._tell_tokens()
         self._wake()
 
-    def _wake(self) -> None:
-        """Let the thread of the datagrams look at the clock again."""
-        self._socket.sendto(b"", ("127.0.0.1", WATER_PORT))
-
     def _tell_tokens(self) -> None:
         if self._own_tokens or monotonic_ns() < self._tokens_end_ns:
             self._send([_TOKENS, list(self._own_tokens)])
@@ -186,18 +187,18 @@ class ZenohEndpoint:
         if len(data) > MOST_MESSAGE:
             print(f"a message of {len(data)} bytes is too long: {MOST_MESSAGE} at most", file=sys.stderr)
             return
-        address = "255.255.255.255" if to is None else f"10.0.{to >> 8}.{to & 255}"
         if len(data) <= MOST_DATAGRAM:
-            self._socket.sendto(data, (address, WATER_PORT))
+            self._send_datagram(data, to)
             return
         number, parts = next(self._count), -(-len(data) // MOST_DATAGRAM)
         for i in range(parts):
             part = data[i * MOST_DATAGRAM : (i + 1) * MOST_DATAGRAM]
-            self._socket.sendto(msgpack.packb([_PART, number, i, parts, part]), (address, WATER_PORT))
+            self._send_datagram(msgpack.packb([_PART, number, i, parts, part]), to)
 
-    def _hear(self, src: int, data: bytes) -> None:
+    def hear(self, src: int, data: bytes) -> None:
+        """Take a datagram of the endpoint of another agent."""
         if src == self._number or not data:
-            return  # a broadcast comes back, and `_wake` says nothing
+            return  # a broadcast comes back, and who wakes us says nothing
         try:
             message = msgpack.unpackb(data)
             if message[0] == _PART:
@@ -307,8 +308,49 @@ def _sample(
     )  # fmt: skip
 
 
+class Program:
+    """An endpoint as a program of its agent: datagrams are those of its node."""
+
+    def __init__(self, number: int, heard: Sequence[int]) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        self._socket.bind(("0.0.0.0", WATER_PORT))
+        self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._vehicle.bind(("127.0.0.1", NAVIGATION_PORT))
+        self._endpoint = ZenohEndpoint(number, heard, self._send, command=self._steer, wake=self._wake)
+
+    def _send(self, data: bytes, to: int | None) -> None:
+        address = "255.255.255.255" if to is None else f"10.0.{to >> 8}.{to & 255}"
+        self._socket.sendto(data, (address, WATER_PORT))
+
+    def _steer(self, data: bytes) -> None:
+        self._socket.sendto(data, ("127.0.0.1", COMMAND_PORT))
+
+    def _wake(self) -> None:
+        """Let the thread of the datagrams look at the clock again."""
+        self._socket.sendto(b"", ("127.0.0.1", WATER_PORT))
+
+    def serve(self) -> None:
+        """Hand over what comes from the water, without an end."""
+        endpoint = self._endpoint
+        self._socket.sendto(b"", ("127.0.0.1", READY_PORT))
+        due_ns = monotonic_ns()
+        while True:
+            now_ns = monotonic_ns()
+            if now_ns >= due_ns:
+                due_ns = now_ns + round(TOKENS_S * 1e9)
+                endpoint.tick(now_ns)
+            left_s = max(0.0, (due_ns - monotonic_ns()) / 1e9) if endpoint.busy else None
+            for ready in select.select([self._socket, self._vehicle], [], [], left_s)[0]:
+                data, (address, _) = ready.recvfrom(1 << 16)
+                if ready is self._vehicle:
+                    endpoint.say(NAVIGATION, data)
+                else:
+                    endpoint.hear(int.from_bytes(socket.inet_aton(address)[2:], "big"), data)
+
+
 def main(number: str, *heard: str) -> None:
-    ZenohEndpoint(int(number), [*map(int, heard)]).serve()
+    Program(int(number), [*map(int, heard)]).serve()
 
 
 if __name__ == "__main__":

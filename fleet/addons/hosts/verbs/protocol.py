@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn, TypeVar
@@ -23,6 +23,7 @@ from fleet.terminal.status_line import StatusLine
 
 if TYPE_CHECKING:
     from agents.join import MakeCore
+    from fleet.addons.hosts.gateway import Gateway
 
 
 _CHECK = "Exit status: 0 every check passed, 1 one did not, 2 usage, or nobody came, 129 terminal closed, 130 Ctrl-C."
@@ -117,6 +118,14 @@ def agent(
     ros2: Annotated[Distribution | None, Option(
         "A node of ROS 2 is the agent: it gets the vehicle's measurements and messages, and answers with a wrench.",
         "[DISTRO]", alone="jazzy")] = None,
+    udp: Annotated[tuple[str, ...], Option(
+        "A real program is the agent: what comes for PORT goes to HOST:PORT over UDP, and what it sends to our PORT "
+        "goes to all that hear the vehicle; repeatable.", "PORT=HOST:PORT")] = (),
+    zenoh: Annotated[str, Option(
+        "Real programs of zenoh are the agent, and connect to this address, such as tcp/0.0.0.0:7501.",
+        "ADDRESS")] = "",
+    carry: Annotated[tuple[str, ...], Option(
+        "With --zenoh: key expressions of what leaves the vehicle; by default all.", "KEYEXPR")] = (),
     trust: Trust = False,
     quiet: Annotated[bool, Option("Print only errors.", flag="-q --quiet")] = False,
 ) -> None:  # fmt: skip
@@ -130,6 +139,7 @@ def agent(
       fleet agent --join runs/latest/join-3.json
       fleet agent --join runs/latest/join-3.json --wait       also before the run is started
       fleet agent --join runs/latest/join-3.json --ros2       a node of ROS 2 commands vehicle 3
+      fleet agent --join runs/latest/join-3.json --udp 9000=192.168.0.7:9100     a real computer is vehicle 3
     """
     import setproctitle
 
@@ -138,9 +148,14 @@ def agent(
     from netem.wire.messages import RUN_OVER, End
     from netem.wire.session import quiet_zenoh
 
+    if bool(ros2) + bool(udp or zenoh) > 1:
+        raise click.UsageError("--ros2 and --udp or --zenoh: one of them is the agent")
+    if carry and not zenoh:
+        raise click.UsageError("--carry has no effect without --zenoh")
     line = StatusLine(quiet=quiet)
     tell = line.print
     joined = False
+    gateway = _gateway(udp, zenoh, carry, tell) if udp or zenoh else None
 
     def begun(text: str) -> None:
         nonlocal joined
@@ -152,7 +167,7 @@ def agent(
         setproctitle.setproctitle(f"fleet agent {joining.vehicle} [{joining.scenario}]")
         quiet_zenoh()
         make = None if ros2 is None else _node(ros2, joining.vehicle, line)
-        return joining.vehicle, serve(joining, begun, make)
+        return joining.vehicle, serve(joining, begun, make if gateway is None else gateway.begin)
 
     try:
         with line:
@@ -170,8 +185,19 @@ def agent(
     except Exception as error:
         click.echo(f"fleet: the law failed: {type(error).__name__}: {error}", err=True)
         _leave(3)
+    if gateway is not None:
+        out, into, lost = gateway.counts
+        without = f"; {lost} found no room" if lost else ""
+        tell(f"of the real programs {out} datagrams went into the network, {into} came{without}")
     tell(f"agent {vehicle}: {end.reason}")
     _leave(0 if end.reason == RUN_OVER else 3)
+
+
+def _gateway(udp: Sequence[str], zenoh: str, carry: Sequence[str], tell: Callable[[str], None]) -> Gateway:
+    """What stands for real programs. Raises FleetError: a rule is none."""
+    from fleet.addons.hosts.gateway import Gateway, UdpRule
+
+    return Gateway([UdpRule.of(text) for text in udp], zenoh, carry or ("**",), tell)
 
 
 @cache

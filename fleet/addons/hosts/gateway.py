@@ -1,0 +1,191 @@
+"""One real computer among simulated vehicles: the agent whose messages are those of programs outside of the run.
+
+A run in lockstep at `--speed 1` goes on at the pace of the wall clock. The gateway answers each tick at once. What real
+programs have sent since the round before leaves with the next one, and what the network delivers is given to them. So a
+slow program costs nobody a tick. The log has what they sent, and `fleet verify` takes it from there.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from threading import Thread
+from time import monotonic_ns
+from typing import TYPE_CHECKING, NamedTuple
+
+from agents.config import AgentConfig
+from agents.packets import EVERYBODY
+from agents.plugged_agent import MAX_PAYLOAD_BYTES
+from agents.sample import Decision
+from agents.udp_port import MOST_DATA, UdpPort
+from fleet.addons.programs.known_ports import WATER_PORT
+from fleet.errors import FleetError
+from netem.clock import Clock
+from netem.wire.messages import Delivery, Nav
+
+if TYPE_CHECKING:
+    from fleet.addons.programs.zenoh_endpoint import ZenohEndpoint
+
+MOST_WAITING = (
+    1 << 20
+)  # bytes of real programs that wait for a round; what comes then is lost, as in a full network card
+_TOKENS_NS = 500_000_000  # how often tokens of zenoh are told
+
+
+class Counts(NamedTuple):
+    """Messages of the real programs.
+
+    Attributes:
+        out: datagrams that they sent, and that went into the network.
+        into: datagrams that were given to them.
+        lost: those that found no room on the way out.
+    """
+
+    out: int
+    into: int
+    lost: int
+
+
+class UdpRule(NamedTuple):
+    """What the network delivers for a port of the agent goes to a program, and its answers to everybody who hears.
+
+    Attributes:
+        port: of the agent in the simulated network, and of our socket.
+        host: where the real program is.
+        to: its port there.
+    """
+
+    port: int
+    host: str
+    to: int
+
+    @classmethod
+    def of(cls, text: str) -> UdpRule:
+        """Read `9000=192.168.0.7:9100`. Raises FleetError: it is none."""
+        port, _, where = text.partition("=")
+        host, _, to = where.rpartition(":")
+        if not (port.isdecimal() and to.isdecimal() and host and 0 < int(port) < 65_536 and 0 < int(to) < 65_536):
+            raise FleetError(f"expected PORT=HOST:PORT such as 9000=192.168.0.7:9100, got {text!r:.80}")
+        return cls(int(port), host, int(to))
+
+
+class Gateway:
+    """The core of an external agent; see `agents.loop.AgentCore`."""
+
+    def __init__(self, udp: Sequence[UdpRule], zenoh: str, carry: Sequence[str], tell: Callable[[str], None]) -> None:
+        """Prepare it.
+
+        Args:
+            udp: ports by which real programs take part.
+            zenoh: the address of a router for real programs, as zenoh writes it; empty: none.
+            carry: key expressions of what leaves through it.
+            tell: called with a line for the user.
+        """
+        self._rules, self._zenoh, self._carry, self._tell = tuple(udp), zenoh, tuple(carry), tell
+        self._sent: SimpleQueue[tuple[int, bytes, int]] = SimpleQueue()  # port, data, agent
+        self._waiting: deque[bytes] = deque()
+        self._size, self._out, self._into, self._lost = 0, 0, 0, 0
+        self._sockets: dict[int, socket.socket] = {}
+        self._endpoint: ZenohEndpoint | None = None
+        self._told_ns = 0
+
+    @property
+    def counts(self) -> Counts:
+        """What has passed so far."""
+        return Counts(self._out, self._into, self._lost)
+
+    def begin(self, config: AgentConfig, clock: Clock) -> Gateway:
+        """Open sockets and router. Raises FleetError: a port is in use, or there is no such host."""
+        self._ports: Mapping[int, UdpPort] = {
+            port: UdpPort(config, port) for port in (*(rule.port for rule in self._rules), WATER_PORT)
+        }
+        self._targets: dict[int, tuple[str, int]] = {}
+        for rule in self._rules:
+            made = self._sockets[rule.port] = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            try:
+                address = socket.gethostbyname(rule.host)
+                here = "127.0.0.1" if address.startswith("127.") else "0.0.0.0"
+                made.bind((here, rule.port))
+            except OSError as error:
+                self.close()
+                raise FleetError(f"--udp {rule.port}={rule.host}:{rule.to}: {error.strerror}") from None
+            self._targets[rule.port] = address, rule.to
+            Thread(target=self._receive, args=(rule.port, made), daemon=True).start()
+            self._tell(f"UDP to {here}:{rule.port} goes to everybody who hears agent {config.id}; "
+                       f"what comes for its port {rule.port} goes to {rule.host}:{rule.to}")  # fmt: skip
+        if self._zenoh:
+            self._endpoint = self._opened(config)
+            self._tell(f"real programs of zenoh connect to {self._zenoh}")
+        return self
+
+    def _opened(self, config: AgentConfig) -> ZenohEndpoint:
+        from fleet.addons.programs.zenoh_endpoint import ZenohEndpoint
+        from netem.errors import BusError
+
+        def send(data: bytes, to: int | None) -> None:
+            self._sent.put((WATER_PORT, data, to or EVERYBODY))
+
+        heard = [each.id for each in config.neighbours]
+        try:
+            return ZenohEndpoint(config.id, heard, send, listen=self._zenoh, carry=self._carry)
+        except BusError as error:
+            raise FleetError(f"--zenoh {self._zenoh}: {error}") from None
+
+    def _receive(self, port: int, listening: socket.socket) -> None:
+        with suppress(OSError):  # closed at the end
+            while True:
+                data, _ = listening.recvfrom(1 << 16)
+                if len(data) <= MOST_DATA:
+                    self._sent.put((port, data, EVERYBODY))
+
+    def transmit(self, nav: Nav) -> tuple[bytes, ...]:
+        """What real programs have sent since the round before, as much as fits into a round; the rest waits."""
+        with suppress(Empty):
+            while True:
+                port, data, to = self._sent.get_nowait()
+                payloads = self._ports[port].send(data, to)
+                size = sum(map(len, payloads))
+                if self._size + size > MOST_WAITING:
+                    self._lost += 1
+                    continue
+                self._size += size
+                self._out += 1
+                self._waiting += payloads
+        taken: list[bytes] = []
+        room = MAX_PAYLOAD_BYTES
+        while self._waiting and len(self._waiting[0]) <= room:
+            taken.append(self._waiting.popleft())
+            room -= len(taken[-1])
+            self._size -= len(taken[-1])
+        return tuple(taken)
+
+    def decide(self, nav: Nav, deliveries: list[Delivery]) -> Decision:
+        """Give real programs what has come. The vehicle itself stays, or is moored."""
+        for port, ours in self._ports.items():
+            for datagram in ours.receive(deliveries):
+                self._into += 1
+                if port == WATER_PORT:
+                    if self._endpoint is not None:
+                        self._endpoint.hear(datagram.src, datagram.data)
+                else:
+                    with suppress(OSError):  # the program is not there yet, or its host is gone: UDP tells nobody
+                        self._sockets[port].sendto(datagram.data, self._targets[port])
+        now_ns = monotonic_ns()
+        if self._endpoint is not None and now_ns - self._told_ns >= _TOKENS_NS:
+            self._told_ns = now_ns
+            self._endpoint.tick(now_ns)
+        return Decision((0.0, 0.0, 0.0), ())
+
+    def take_notes(self) -> list[tuple[int, str]]:
+        """None: nothing of it is about a tick."""
+        return []
+
+    def close(self) -> None:
+        """Close sockets and router."""
+        for each in self._sockets.values():
+            each.close()
+        if self._endpoint is not None:
+            self._endpoint.close()

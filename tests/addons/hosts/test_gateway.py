@@ -1,0 +1,136 @@
+"""One real computer among simulated vehicles: what its programs send, what they are given, and that it repeats."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+from pathlib import Path
+from textwrap import dedent
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from free_ports import free_port
+from live import Command, LiveRun
+from tool import invoke
+from waiting import wait_for
+
+from agents.api import UdpPort
+from agents.plugged_agent import MAX_PAYLOAD_BYTES
+from fleet.addons.hosts.gateway import MOST_WAITING, Gateway, UdpRule
+from fleet.errors import FleetError
+from netem.clock import Clock
+from netem.wire.messages import Delivery
+
+LIMIT_S = 60.0
+CONFIG: Any = SimpleNamespace(id=2, neighbours=())
+OTHER: Any = SimpleNamespace(id=1)
+NAV: Any = SimpleNamespace(tick=0)
+SIMULATED = """
+import socket, sys
+s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+s.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+s.bind(("", int(sys.argv[1])))
+s.settimeout(0.2)
+while True:
+    s.sendto(b"ping", ("10.0.0.2", int(sys.argv[1])))
+    try:
+        print("real", s.recvfrom(99)[0].decode(), flush=True)
+    except TimeoutError:
+        pass
+"""
+
+
+def test_rules_are_read_or_refused_in_words() -> None:
+    assert UdpRule.of("9000=auv.local:9100") == (9000, "auv.local", 9100)
+    for wrong in ("9000", "9000=9100", "x=h:1", "0=h:1", "9000=h:70000", "=h:1", "9000=:1"):
+        with pytest.raises(FleetError, match=r"expected PORT=HOST:PORT such as 9000=192\.168\.0\.7:9100"):
+            UdpRule.of(wrong)
+
+
+def test_datagrams_go_both_ways_and_what_has_no_room_waits_or_is_lost() -> None:
+    ours, theirs = free_port(), free_port()
+    said: list[str] = []
+    real = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    real.bind(("127.0.0.1", theirs))
+    real.settimeout(LIMIT_S)
+    gateway = Gateway([UdpRule(ours, "127.0.0.1", theirs)], "", (), said.append).begin(CONFIG, Clock.LOCKSTEP)
+    try:
+        assert f"127.0.0.1:{ours}" in said[0]
+        payloads = UdpPort(OTHER, ours).send(b"hello" * 1000, to=2)
+        came = [Delivery(due_tick=0, sent_tick=0, src=1, seq=n, copy=0, payload=p) for n, p in enumerate(payloads)]
+        assert gateway.decide(NAV, came).tau == (0.0, 0.0, 0.0)
+        assert real.recv(1 << 16) == b"hello" * 1000
+        for number in range(60):  # one by one, or the system drops some
+            real.sendto(bytes((number,)) * 30_000, ("127.0.0.1", ours))
+            wait_for(lambda n=number: gateway._sent.qsize() > n, LIMIT_S, "the datagram")  # type: ignore[misc]
+        first = gateway.transmit(NAV)
+        assert 0 < sum(map(len, first)) <= MAX_PAYLOAD_BYTES
+        heard = UdpPort(OTHER, ours)
+        rounds = [first]
+        while payloads_now := gateway.transmit(NAV):
+            rounds.append(payloads_now)
+        got = [
+            one.data[0]
+            for payloads_now in rounds
+            for one in heard.receive(
+                [Delivery(due_tick=0, sent_tick=0, src=2, seq=0, copy=0, payload=p) for p in payloads_now]
+            )
+        ]
+        out, into, lost = gateway.counts
+        assert (len(got), into) == (out, 1) and got == sorted(got)
+        assert out == MOST_WAITING // 30_588 and lost == 60 - out  # 21 packets of IP have 588 bytes of headers
+    finally:
+        gateway.close()
+        real.close()
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        gateway = Gateway([UdpRule(port, "127.0.0.1", 9)], "", (), lambda _: None)
+        with pytest.raises(FleetError, match=f"--udp {port}=127.0.0.1:9: Address already in use"):
+            gateway.begin(CONFIG, Clock.LOCKSTEP)
+
+
+@pytest.mark.once  # runs a program, as those of the add-on for programs
+@pytest.mark.skipif(shutil.which("cc") is None, reason="the library for programs is compiled by cc")
+def test_a_real_program_takes_part_in_a_run_that_repeats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A simulated program calls the real one over links with delay; verify takes its answers from the log."""
+    monkeypatch.chdir(tmp_path)
+    port, theirs = free_port(), free_port()
+    (tmp_path / "calls.py").write_text(SIMULATED)
+    (tmp_path / "mix.yaml").write_text(
+        dedent(f"""
+            title: A simulated program and a real one
+            vehicles: 2
+            moored: true
+            tick: 20 ms
+            duration: 1500 ms
+            graph: {{shape: complete}}
+            network: {{period: 20 ms, links: {{"*": delay 40ms}}}}
+            agent: {{program: calls.py, arguments: ["{port}"]}}
+            per_vehicle: {{2: {{external: true}}}}
+        """)
+    )
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as real:
+        real.bind(("127.0.0.1", theirs))
+        real.settimeout(LIMIT_S)
+        run = LiveRun(tmp_path / "runs", str(tmp_path / "mix.yaml"), "--speed", "1", "--trust")
+        with run:
+            file = run.out / "latest" / "join-2.json"
+            wait_for(lambda: run.over or file.exists(), LIMIT_S, "the join file")
+            assert not run.over, run.printed
+            with Command("agent", "--join", file, "--udp", f"{port}=127.0.0.1:{theirs}") as agent:
+                for _ in range(3):
+                    data, sender = real.recvfrom(99)
+                    assert data == b"ping"
+                    real.sendto(b"pong", sender)
+                assert run.status(LIMIT_S) == 0, run.printed
+                wait_for(lambda: "the run is over" in agent.printed, LIMIT_S, "its last words")
+                assert "of the real programs 3 datagrams went into the network" in agent.printed
+        lines = (run.directory / "log" / "agent-1.log").read_text()
+        assert lines.count("real pong") >= 2
+    checked = invoke("verify", run.directory, "--trust")
+    assert checked.exit_code == 0 and "vehicle 2 is external" in checked.output, checked.output

@@ -21,6 +21,7 @@ from fleet.scenario.schema.checks import (
     Standing,
     Tumbled,
 )
+from fleet.scenario.schema.programs import DONE, RUNNING, wanted
 from netem.condition import Link
 from netem.link_selector import parse_selector, select
 
@@ -50,7 +51,9 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         verdicts.append(_tumbled(tumbled, scenario, journal))
     if not deaths.waived and not scenario.nodes:
         verdicts.append(_deaths(deaths, scenario, journal))
-    if journal.failures.count and checks.programs is None:
+    if scenario.spec.names is not None:
+        verdicts.append(_programs_of_nodes(scenario, journal))
+    elif journal.failures.count and checks.programs is None:
         verdicts.append(_programs(scenario, journal))
     failures = journal.metrics.qp_failures()
     if checks.qp_infeasible is not None:
@@ -309,6 +312,29 @@ def _programs(scenario: Scenario, journal: Journal) -> Verdict:
     moment = _moment(journal, scenario, first.at_ns / 1e9, first.vehicle)
     verdict = Verdict(PROGRAMS, False, "none fails", found, failures.count, 0, "programs", moment)
     return verdict.with_margin(-failures.count, "programs", first.at_ns / 1e9)
+
+
+def _programs_of_nodes(scenario: Scenario, journal: Journal) -> Verdict:
+    """Whether the programs of what were nodes ran, or did their work, as on the wall clock."""
+    asked: dict[str, str] = {**(scenario.spec.checks.programs or {"*": RUNNING})}
+    failures, bad = journal.failures, []
+    failed = {one.vehicle: one for one in failures.first}
+    for i, name in enumerate(scenario.spec.names or (), start=1):
+        want, ended = wanted(asked, name, name), failures.ended.get(i)
+        if (one := failed.get(i)) is not None:
+            bad.append(f"{name} at {one.at_ns / 1e9:.2f} s: {one.text}{f': {one.last:.120}' if one.last else ''}")
+        elif want == DONE and ended is None:
+            bad.append(f"{name} did not end")
+        elif want == RUNNING and ended is not None:
+            bad.append(f"{name} ended at {ended / 1e9:.2f} s")
+    words = (
+        ", ".join(dict.fromkeys(asked.values()))
+        if list(asked) == ["*"]
+        else ", ".join(f"{name} {what}" for name, what in asked.items())
+    )
+    count = len(scenario.spec.names or ())
+    found = printable("; ".join(bad[:4])) if bad else f"all {count}"
+    return Verdict(PROGRAMS, not bad, words, found, len(bad), 0, "programs")
 
 
 OF_THE_TOOL = frozenset({"deaths", "ledger", "middleware_loss"})  # `expect: fail` judges the protocol, not this program

@@ -1,10 +1,10 @@
-"""The agents whose program failed, as they said it themselves."""
+"""The agents whose program failed or ended, as they said it themselves."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from netem.wire.messages import ERR, FAILED, Frame
+from netem.wire.messages import END, ERR, FAILED, Frame
 
 MOST_KEPT = 100
 
@@ -22,13 +22,17 @@ class ProgramFailures:
     def __init__(self) -> None:
         self.first: list[ProgramFailure] = []  # in order, MOST_KEPT of them
         self.count = 0
+        self.ended: dict[int, int] = {}  # by vehicle whose program has ended, well or not: when [ns]
         self._printed: dict[int, str] = {}  # by vehicle, the last line on its standard error
 
     def frame(self, frame: Frame) -> None:
-        for life in frame.lives if self._printed else ():
+        for life in frame.lives if self._printed or self.ended else ():
             if life.begins:
                 self._printed.pop(life.vehicle, None)  # another agent has printed that
+                self.ended.pop(life.vehicle, None)
         for i, said in ((line.vehicle, line.said) for line in frame.said):
+            if said.stream in (END, FAILED):
+                self.ended[i] = said.at_ns
             if said.stream == ERR and said.text.strip():
                 self._printed[i] = said.text
             elif said.stream == FAILED:

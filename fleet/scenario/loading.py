@@ -10,11 +10,15 @@ from pathlib import Path
 from fleet.errors import Problem, ScenarioError
 from fleet.quantities import describe_value
 from fleet.scenario.catalogue import shipped_scenarios, shipped_text
+from fleet.scenario.parts import Parts
 from fleet.scenario.scenario import Reading, Scenario
+from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text import scenario_yaml
 from fleet.scenario.text.nodes import expanded, still
 from fleet.scenario.text.overrides import Override, apply
+from fleet.scenario.text.simulated_nodes import SIMULATED, simulated
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
+from fleet.scenario.text.yaml_writer import yaml_text
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
 from fleet.scenario.validation import validate
 from netem.files import read_bounded, read_file
@@ -79,7 +83,21 @@ def parse_scenario(
     problems += [*more, *mistakes]
     if parts is None or problems:
         raise ScenarioError(sorted(problems, key=lambda p: _order(p, source, overrides)))
-    return Scenario(parts, Reading(text, tuple(overrides), folder, policy), source_name)
+    reading = Reading(text, tuple(overrides), folder, policy)
+    if parts.spec.clock == SIMULATED:
+        parts = _simulated(parts.spec, source_name, folder, policy)
+    return Scenario(parts, reading, source_name)
+
+
+def _simulated(spec: ScenarioSpec, source_name: str, folder: Path | None, policy: Policy) -> Parts:
+    """The parts of a file of nodes in simulated time. Raises ScenarioError: a program of it cannot run there."""
+    made = yaml_text(simulated(spec, folder or Path()))
+    root, problems = read(Source(f"{source_name} in simulated time", made))
+    assert isinstance(root, Mapping)
+    parts, mistakes = validate(root, folder, policy)
+    if parts is None or problems or mistakes:
+        raise ScenarioError([*problems, *mistakes])
+    return parts
 
 
 def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:

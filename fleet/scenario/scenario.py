@@ -108,7 +108,8 @@ class Scenario:
 
     def vehicle_name(self, i: int) -> str:
         """The number of a vehicle, or the name of a node."""
-        return self.nodes[i - 1] if self.nodes else str(i)
+        names = self.nodes or self.spec.names
+        return names[i - 1] if names else str(i)
 
     def link_name(self, link: Link) -> str:
         """`1->2`, or with the names of nodes."""

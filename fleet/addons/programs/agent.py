@@ -14,11 +14,12 @@ from fleet.addons.programs.executables import obstacle
 from fleet.addons.programs.library import NoLibraryError, compiled
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.process_agent import PROCESSORS, ProcessAgent, epoch_ns, own_python
+from fleet.addons.programs.udp_ways import UdpWays
 from world.errors import PluginError
 
 _PARAMETERS = (
     "module", "interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup",
-    "vehicle",
+    "vehicle", "udp",
 )  # fmt: skip
 # Of 1.0, where Python ran on stand-ins. Those with a value here need nothing any more.
 _OF_BEFORE = {"process": (True, "yes"), "order": ("ready",), "shared": None}
@@ -109,6 +110,10 @@ def _check_values(path: Path, parameters: Mapping[str, Any]) -> None:
     processors = parameters.get("processors", PROCESSORS)
     if not isinstance(processors, int) or not 1 <= processors <= MOST_PROCESSORS:
         raise _wrong(path, f"processors: expected 1 to {MOST_PROCESSORS}, got {processors!r}")
+    try:
+        UdpWays(parameters.get("udp") or {})
+    except (ValueError, TypeError, AttributeError):
+        raise _wrong(path, f"udp: expected {{PORT: [AGENT, PORT]}}, got {parameters['udp']!r:.80}") from None
     vehicle = parameters.get("vehicle", "")
     if vehicle not in ("", "ros2"):
         raise _wrong(
@@ -145,6 +150,8 @@ def _line_signal(path: Path, name: str, about: Any) -> LineSignal:
         pattern = re.compile(str(text))
     except re.error as error:
         raise _wrong(path, f"signals.{name}.line is no regular expression: {error}") from None
-    if "value" not in pattern.groupindex:
-        raise _wrong(path, f"signals.{name}.line names no group", "write (?P<value>...) round the number")
-    return LineSignal(name, pattern)
+    counts = isinstance(about, Mapping) and bool(about.get("count"))
+    if not counts and "value" not in pattern.groupindex:
+        hint = "write (?P<value>...) round the number, or count: true"
+        raise _wrong(path, f"signals.{name}.line names no group", hint)
+    return LineSignal(name, pattern, counts)

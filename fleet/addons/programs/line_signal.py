@@ -12,11 +12,21 @@ class LineSignal:
 
     name: str
     pattern: re.Pattern[str]
+    counts: bool = False  # the value is the number of such lines
 
-    def read(self, line: str) -> float | None:
-        """The value in a line; None: the line is another one."""
+    def read(self, line: str, before: float | None = None) -> float | None:
+        """The value in a line; None: the line is another one.
+
+        Args:
+            line: what the program printed.
+            before: the value so far.
+        """
         found = self.pattern.search(line)
+        if found is None:
+            return None
+        if self.counts:
+            return (before or 0.0) + 1.0
         try:
-            return None if found is None else float(found["value"])
+            return float(found["value"])
         except ValueError:
             return None

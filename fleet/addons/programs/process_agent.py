@@ -26,6 +26,7 @@ from fleet.addons.programs.shared_sockets import KINDS as SOCKET_KINDS
 from fleet.addons.programs.shared_sockets import SharedSockets
 from fleet.addons.programs.steering import Vehicle, navigation
 from fleet.addons.programs.streams import Streams
+from fleet.addons.programs.udp_ways import UdpWays
 from world.plugins.kept_files import kept_folder
 from world.plugins.output import line_writer
 
@@ -58,6 +59,7 @@ class ProcessAgent:
         files: Sequence[str] = (),
         epoch: str = "",
         processors: int = PROCESSORS,
+        udp: Mapping[str, Any] | None = None,
         **_: Any,
     ) -> None:
         """Prepare the program; it is started with the agent's first tick.
@@ -72,6 +74,7 @@ class ProcessAgent:
             files: files and folders that are copied into the program's home, beside the program.
             epoch: the time at the beginning of the run, such as `2026-06-01T12:00:00`, in UTC; "": 2026-01-01.
             processors: how many the program sees.
+            udp: ports of the own host that stand for those of other agents, see `UdpWays`.
         """
         self._config, self._tick_ns = config, config.tick_ns
         words = {"id": config.id, "seed": config.seed, "zenoh": _ENDPOINT}
@@ -85,11 +88,11 @@ class ProcessAgent:
         self._book = _AddressBook(config, addresses or {})
         self._formation = FormationAgent(config)
         self._epoch_ns = epoch_ns(epoch) if epoch else EPOCH_NS
-        self._processors = processors
+        self._processors, self._udp = processors, dict(udp or {})
         self._life: _Life | None = None
         self._owner = os.getpid()
         self._history: list[tuple[int, list[Delivery], Nav | None]] = []
-        self.values: dict[str, float | None] = dict.fromkeys(each.name for each in self.reads)
+        self.values: dict[str, float | None] = {each.name: 0.0 if each.counts else None for each in self.reads}
         self._said: list[Said] = []
         self._unheard: set[int] = set()  # neighbours whose laws send what no program can hear
         self._write_line = line_writer(f"agent-{config.id}.log")
@@ -142,11 +145,12 @@ class ProcessAgent:
                 self._disk_before,
                 self.beside,
                 self._processors,
+                UdpWays(self._udp),
             )  # fmt: skip
         life = self._life
         for at_ns, stream, text in life.step(now_ns, packets, nav):
             for each in self.reads if stream in ("out", "err") else ():  # loggers, as those of ROS, write to err
-                if (value := each.read(text)) is not None:
+                if (value := each.read(text, self.values[each.name])) is not None:
                     self.values[each.name] = value
             if tell:
                 self._said.append(Said(at_ns, stream, text if len(text) <= 1000 else text[:999] + "…"))
@@ -215,8 +219,9 @@ class _Life:
         disk_before: Path | None,
         beside: Sequence[str],
         processors: int,
+        ways: UdpWays,
     ) -> None:
-        self._id, self._book = config.id, book
+        self._id, self._book, self._ways = config.id, book, ways
         self._beside, self._environment = beside, environment
         self._node: int | None = None  # the family of the program beside it
         self._out: deque[bytes] = deque()
@@ -362,6 +367,12 @@ class _Life:
 
     def _send(self, process: Process, data: bytes) -> None:
         _, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)
+        if to_ip == _LOOPBACK and (way := self._ways.way(to_port)) is not None:
+            other, port = way
+            self.processes.answer(process, b"U\x01")
+            self._ways.sends(other, from_port)
+            self._leave(Datagram(other, from_port, port, node_address(other, False), data[_ADDRESSES.size :]))
+            return
         agent = self._book.agent(to_ip, to_port)
         here = is_own(to_ip, self._id)
         if here and (to_port == READY_PORT or (to_port == COMMAND_PORT and not self._config.moored)):
@@ -378,9 +389,12 @@ class _Life:
             self._datagram(to_port, data, but=process.pid)
         if agent is not None and agent != self._id:
             to = to_ip if agent == EVERYBODY else node_address(agent, to_ip[:12] != V4)
-            self._number = (self._number + 1) & 0xFFFF
-            for each in Datagram(agent, from_port, to_port, to, data[_ADDRESSES.size :]).fragments(self._number):
-                self._put(each.packed())
+            self._leave(Datagram(agent, from_port, to_port, to, data[_ADDRESSES.size :]))
+
+    def _leave(self, datagram: Datagram) -> None:
+        self._number = (self._number + 1) & 0xFFFF
+        for each in datagram.fragments(self._number):
+            self._put(each.packed())
 
     def _hear(self, delivery: Delivery) -> None:
         packet = read(delivery.payload)
@@ -392,6 +406,10 @@ class _Life:
         if (whole := self._fragments.whole(delivery.src, packet)) is None:
             return
         packet = whole
+        if self._ways and (found := self._ways.arrives(delivery.src, packet.to_port)) is not None and found[1]:
+            to_port, back = found
+            self._datagram(to_port, _ADDRESSES.pack(_LOOPBACK, back, _LOOPBACK, to_port) + packet.data)
+            return
         v6 = packet.to_ip[:12] != V4
         head = _ADDRESSES.pack(node_address(delivery.src, v6), packet.from_port, packet.to_ip, packet.to_port)
         self._datagram(packet.to_port, head + packet.data)

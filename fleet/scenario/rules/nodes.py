@@ -13,9 +13,10 @@ from fleet.scenario.schema.nemesis import CONDITIONS
 from fleet.scenario.schema.nodes import LANGUAGES, ModemPortSection, TopicPlace, udp_target, without_address
 from fleet.scenario.schema.programs import programs_of
 from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.text.simulated_nodes import SIMULATED, obstacles
 from netem.parsing import nearest
 
-_OF_NODES = ("carry", "discovery", "lost_after", "header", "fragments")
+_OF_NODES = ("carry", "discovery", "lost_after", "header", "fragments", "clock")
 _CHECKS = frozenset({"max_age", "connected", "ledger", "middleware_loss", "punctual", "programs", "signal", "python"})
 _OF_PROGRAMS = ("kill", "pause")  # faults of programs that the run starts
 
@@ -23,6 +24,9 @@ _OF_PROGRAMS = ("kill", "pause")  # faults of programs that the run starts
 def nodes(parts: Parts, report: Report) -> None:
     """Addresses, ports, keys and places of nodes."""
     spec = parts.spec
+    if spec.clock == SIMULATED and spec.nodes is not None:
+        for path, message, hint in obstacles(spec):
+            report.add(path, message, hint)
     if spec.nodes is None:
         for key in (*_OF_NODES, *(["log.payloads"] if spec.log.payloads is not None else [])):
             if report.has(tuple(key.split("."))):

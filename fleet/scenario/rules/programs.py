@@ -21,7 +21,7 @@ def programs(parts: Parts, report: Report) -> None:
         for key in ("programs", *_OF_PROGRAMS):
             if report.has((key,)):
                 report.add((key,), "has no effect without nodes", key=True)
-        if spec.checks.programs not in (None, {"*": WAIVED}):  # those of vehicles are judged by how they end
+        if spec.names is None and spec.checks.programs not in (None, {"*": WAIVED}):  # judged by how they end
             report.add(("checks", "programs"), "has no effect without nodes", key=True)
         return
     if not spec.programs:

@@ -118,6 +118,8 @@ class ScenarioSpec(Section):
     group: Annotated[Group | None, AfterValidator(lambda _: None), Field(exclude=True)] = None
     # Robots that are not ours, in place of vehicles; `fleet netem` serves them.
     nodes: Annotated[dict[NodeName, Node], Field(min_length=2)] | None = None
+    clock: Literal["real", "simulated"] | None = None  # of nodes: simulated: their programs are agents; default: real
+    names: Annotated[list[NodeName], Field(min_length=2)] | None = None  # of vehicles that were nodes
     programs: dict[ProgramKey, ProgramSection] | None = None  # of nodes: started and stopped with the run
     compose: str | None = None  # a compose file that is up during the run
     begin: v.Time | None = None  # from the time at which all programs are ready to t = 0; 0 s

@@ -20,7 +20,7 @@ from netem.parsing import nearest
 
 KEYS = (
     "name", "title", "nodes", "programs", "compose", "begin", "signals", "carry", "discovery", "lost_after", "header",
-    "fragments", "isolate", "duration", "tick", "seed",
+    "fragments", "isolate", "clock", "duration", "tick", "seed",
     "graph", "network", "faults", "nemesis", "checks", "log", "expect", "group", "stall_timeout",
 )  # fmt: skip
 UNTIL_STOPPED_NS = 86_400 * 10**9

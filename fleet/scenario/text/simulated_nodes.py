@@ -1,0 +1,161 @@
+"""A file of nodes in simulated time: its programs as agents of moored vehicles that have the names of the nodes.
+
+What is made is an ordinary scenario. So all that such a one has (digests, verify, studies, why) holds for it, and
+nothing else has to know of it. (Rejected: a third kind of run, which would judge, disturb and record by itself.)
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from fleet.scenario.schema.nodes import udp_target
+from fleet.scenario.schema.programs import ProgramSection, filled, nodes_of, programs_of
+from fleet.scenario.schema.spec import ScenarioSpec
+from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
+
+SIMULATED = "simulated"
+ROUND = "10 ms"  # programs speak at any time: a message waits for the next round, half of this on average
+_ROUTER = "tcp/127.0.0.1:7447"  # where the router of each node is for its own programs
+_BEGIN_S = "1000"  # CLOCK_MONOTONIC at t = 0
+_PYTHONS = ("python", "python3")
+# Keys of a scenario that nodes and vehicles share.
+_SHARED = (
+    "name",
+    "title",
+    "seed",
+    "duration",
+    "stall_timeout",
+    "expect",
+    "graph",
+    "faults",
+    "nemesis",
+    "checks",
+    "log",
+)
+Obstacle = tuple[tuple[str, ...], str, str]  # where, what is wrong, what to do
+
+
+def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
+    """What of a valid file of nodes needs the wall clock, or is not there in simulated time."""
+    nodes = dict(spec.nodes or {})
+    if spec.duration == UNTIL_STOPPED_NS:
+        yield ("clock",), "simulated time needs an end", "duration: 60 s"
+    programs: dict[str, list[tuple[str, ProgramSection]]] = {}
+    for program, owner, section in programs_of(spec.programs or {}, list(nodes)):
+        programs.setdefault(owner, []).append((program, section))
+    for name, node in nodes.items():
+        path, here = ("nodes", name), programs.get(name, [])
+        if not here:
+            yield path, "has no program, and nobody joins simulated time from outside", "programs: {NAME: {run: ...}}"
+        if len(here) > 1:
+            words = f"has {len(here)} programs ({', '.join(each for each, _ in here)}): one in simulated time so far"
+            yield path, words, "clock: real"
+        for key in ("listen", "connect", "zenoh"):
+            if getattr(node, key) is not None:
+                yield (*path, key), "is of a real host", "leave it out: programs connect to {listen}"
+        if node.modem is not None:
+            yield (*path, "modem"), "modems answer on the wall clock so far", "clock: real"
+        if node.isolate:
+            yield path, "each program has a network of its own in simulated time: isolate is for the wall clock", ""
+    for key in ("compose", "discovery", "header", "fragments"):
+        if getattr(spec, key) is not None:
+            yield (key,), "has no meaning in simulated time so far", "clock: real"
+    asked = [one.topic for one in spec.checks.signal or ()]
+    for name, signal in (spec.signals or {}).items():
+        if signal.message is not None and f"control.{name}" in asked:
+            yield (
+                ("signals", name),
+                "a check is about messages, which are not looked into in simulated time so far",
+                ("line: what a program prints"),
+            )
+    for name, section in (spec.programs or {}).items():
+        words = " ".join([*section.run, *section.env.values()])
+        for place in ("zenoh", "dir", "modem"):
+            if f"{{{place}}}" in words:
+                yield ("programs", name), f"{{{place}}} is a file or port of a real host", "{listen}"
+
+
+def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
+    """The scenario of vehicles that a valid file of nodes is in simulated time, as values of its text.
+
+    Args:
+        spec: of the file; nothing of `obstacles` is in it.
+        folder: of the file.
+    """
+    dumped = spec.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
+    found = {key: dumped[key] for key in _SHARED if key in dumped}
+    names = list(spec.nodes or {})
+    network = {"period": ROUND} | {k: v for k, v in dumped["network"].items() if k != "period"}
+    if spec.network.acoustic is not None:
+        network["period"] = dumped["network"]["period"]
+    checks = {key: value for key, value in found.get("checks", {}).items() if key != "punctual"}
+    checks["programs"] = checks.get("programs", "running")
+    offsets = [f"{x:g} {y:g} {z:g} m" for x, y, z in (places(spec))]
+    per_vehicle = {}
+    for _, node, section in programs_of(spec.programs or {}, names):
+        number = names.index(node) + 1
+        per_vehicle[str(number)] = {"agent": _agent(spec, names, number, section, folder)}
+    return found | {
+        "vehicles": len(names),
+        "names": names,
+        "moored": True,
+        "reference": {"start": "0 0 0 m", "velocity": "0 0 0 m/s"},
+        "formation": {"offsets": offsets},
+        "initial": [{"position": each} for each in offsets],
+        "network": network,
+        "checks": checks,
+        "per_vehicle": per_vehicle,
+    }
+
+
+def places(spec: ScenarioSpec) -> list[tuple[float, float, float]]:
+    """Where the nodes are [m, NED]."""
+    return [tuple(offset) for offset in spec.formation.offsets or ()]  # type: ignore[misc]
+
+
+def _agent(
+    spec: ScenarioSpec, names: Sequence[str], number: int, section: ProgramSection, folder: Path
+) -> dict[str, Any]:
+    node = (spec.nodes or {})[names[number - 1]]
+    known = {
+        "listen": _ROUTER, "address": f"10.0.{number >> 8}.{number & 255}", "node": names[number - 1], "number": number,
+        "seed": spec.seed, "begin_s": _BEGIN_S, "duration_s": f"{spec.duration / 1e9:g}", "domain": "0",
+    }  # fmt: skip
+    here = folder / (section.folder or "")
+    words = [filled(word, known) for word in section.run]
+    environment = {key: filled(text, known) for key, text in section.env.items()}
+    if not node.udp:
+        environment = {
+            "RMW_IMPLEMENTATION": "rmw_zenoh_cpp",
+            "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{_ROUTER}"]',
+        } | environment
+    agent: dict[str, Any] = _program(words, here, section.folder)
+    agent["env"] = environment
+    told = {name: each for name, each in (spec.signals or {}).items() if names[number - 1] in nodes_of(each.of, names)}
+    lines = {
+        name: {"line": each.line} | ({"count": True} if each.count else {})
+        for name, each in told.items()
+        if each.line is not None
+    }
+    ways = {port: udp_target(text) for port, text in node.udp.items()}
+    udp = {port: [names.index(way[0]) + 1, way[2]] for port, way in ways.items() if way is not None}
+    return agent | ({"signals": lines} if lines else {}) | ({"udp": udp} if udp else {})
+
+
+def _program(words: Sequence[str], here: Path, below: str | None) -> dict[str, Any]:
+    """A command line as the keys of a program. A file that it names is the one of its folder."""
+    first, *rest = words
+    named = [str((here / word).resolve()) if (here / word).is_file() else word for word in rest]
+    if first in _PYTHONS and rest[:1] == ["-m"]:
+        return {"program": {"module": rest[1]}, "arguments": named[2:]}
+    if first in _PYTHONS and rest:
+        return {"program": str(Path(below or "", rest[0])), "arguments": named[1:]}
+    return {"program": shutil.which(first) or str(Path(below or "", first)), "arguments": named}
+
+
+def told_names(spec: ScenarioSpec) -> Mapping[int, str]:
+    """The names of vehicles that were nodes, by number; nothing for vehicles of numbers alone."""
+    return dict(enumerate(spec.names or (), start=1))

@@ -6,27 +6,23 @@ A signal is named as in checks and measures (`fleet.scenario.sections.signals`):
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import isfinite
 from textwrap import wrap
-from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from fleet.addons.pictures.axes import COLOUR, MOST_NAMED, Get, draw_lines, finish, over_time
+from fleet.addons.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time
+from fleet.addons.pictures.found_signal import FoundSignal, find_signal, plain_name, topic_of
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view
-from fleet.addons.pictures.thresholds import Threshold, draw_thresholds
+from fleet.addons.pictures.signal_limits import ERRORS, PICTURES, draw_limits
+from fleet.addons.pictures.thresholds import thresholds
 from fleet.errors import FleetError
 from fleet.logs.records import Array
-from fleet.logs.topic import Topic
-from fleet.scenario.schema.checks import SignalCheck
-from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask, checked_signals
-from fleet.scenario.sections.signals import GROUPS, OF_THE_LAWS, SignalName, SignalPlace, component, parse_name
+from fleet.scenario.sections.signal_checks import checked_signals
+from fleet.scenario.sections.signals import GROUPS, OF_THE_LAWS, SignalName, component, parse_name
 from netem.parsing import nearest
 
 MOST_AXES = 8  # components of a vector
@@ -35,20 +31,11 @@ _FEW_VALUES = 12  # whole numbers on an axis: then lines that would hide each ot
 _LINE = 52  # characters that fit below a picture
 
 
-class _Found(NamedTuple):
-    name: str  # as the log has it, or a component of that
-    field: str
-    component: int | None  # None: the whole
-    unit: str
-    meaning: str
-    width: int
-
-
 def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
     """The signals to draw if the user names none, at most MOST_UNASKED.
 
     A check names some of them, and a check in Python has read others from laws and plants. Moored vehicles add the
-    signals of their laws. Errors that have a picture of their own are left out, and so are signals that no log has.
+    signals of their laws. Errors, which have a picture of their own, are left out, and so are signals that no log has.
     """
     found = [
         name
@@ -59,14 +46,27 @@ def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
         )
     ]
     found += [SignalName(name) for run in runs if run.moored for name in _known(run, OF_THE_LAWS)]
-    return [name for name in dict.fromkeys(found) if any(_find(run, name) for run in runs)][:MOST_UNASKED]
+    others = [name for name in dict.fromkeys(found) if plain_name(name).name not in ERRORS]
+    return [name for name in others if any(find_signal(run, name) for run in runs)][:MOST_UNASKED]
+
+
+def errors_of_checks(runs: Sequence[Run]) -> list[str]:
+    """The pictures of those errors that checks are about."""
+    specs = [run.scenario.spec for run in runs if run.scenario is not None]
+    named = {
+        plain_name(name).name
+        for spec in specs
+        for check in spec.checks.signal or ()
+        if (name := parse_name(check.topic)) is not None
+    }
+    return [PICTURES[kind] for signal, kind in ERRORS.items() if signal in named or thresholds(runs, kind)]
 
 
 def need(runs: Sequence[Run], name: SignalName) -> None:
     """Raises FleetError: no log has this signal, or this vehicle."""
     if name.vehicle is not None:
         check_view(runs, View((name.vehicle,)))
-    if any(_find(run, name) for run in runs):
+    if any(find_signal(run, name) for run in runs):
         return
     known = [other for run in runs for other in _known(run)]
     group = [other for other in known if other.startswith(f"{name.group}.")]
@@ -92,7 +92,7 @@ def file_name(name: SignalName) -> str:
 
 
 def title(runs: Sequence[Run], name: SignalName) -> str:
-    found = next((one for run in runs if (one := _find(run, name)) is not None), None)
+    found = next((one for run in runs if (one := find_signal(run, name)) is not None), None)
     return f"{name}: {found.meaning}" if found is not None and found.meaning else str(name)
 
 
@@ -100,7 +100,7 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
     """A line per vehicle, whole numbers as steps; checks of the signal, and where it failed them. Raises NothingToDraw
     if no vehicle reports it.
     """
-    found = next((one for run in runs if (one := _find(run, name)) is not None), None)
+    found = next((one for run in runs if (one := find_signal(run, name)) is not None), None)
     if found is None:
         raise NothingToDraw(f"no vehicle reports {name.name}")
     components, notes = _components(runs, view, name, found)
@@ -116,13 +116,12 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
     notes += draw_lines(figure, list(zip(axes, shown, strict=True)), runs, view, log=log, exact=whole, **style)
     for k, ax in zip(components, axes, strict=True):
         own = name if k is None or found.width == 1 else SignalName(component(found.name, k))
-        ax.set_ylabel(f"{own} [{_unit(found, k)}]")
+        ax.set_ylabel(f"{own} [{found.unit_of(k)}]")
         if log:
             ax.set_yscale("log", nonpositive="mask")
         elif whole:
             ax.yaxis.set_major_locator(MaxNLocator(6, integer=True))
-        _asked(ax, runs, own)
-        _failed(ax, runs, own, shift)
+        notes += draw_limits(ax, runs, view, own, shift)
     if shift is not None:
         notes.append("lines are offset for clarity")
     if found.meaning:
@@ -131,48 +130,17 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
     return figure
 
 
-def _topic(run: Run, i: int, group: str) -> Topic | None:
-    topic = f"uuv/{i}/{group}"
-    return run.log[topic] if topic in run.log and len(run.log[topic]) else None
-
-
-def _find(run: Run, name: SignalName) -> _Found | None:
-    """The signal in the topic of the first vehicle that has it; of a component, the vector that it is one of."""
-    group, _, field = name.name.partition(".")
-    if group not in GROUPS:
-        return None
-    for i in run.log.vehicles:
-        topic = _topic(run, i, group)
-        if topic is None or topic.too_many:
-            continue
-        part = re.fullmatch(r"(\w+)_(\d{1,4})", field)
-        if field in topic:
-            own, k = field, None
-        elif part is not None and part[1] in topic and int(part[2]) < _width(topic, part[1]):
-            own, k = part[1], int(part[2])
-        else:
-            continue
-        unit, meaning = topic.declaration(own)
-        return _Found(f"{group}.{own}", own, k, unit or "1", meaning, _width(topic, own))
-    return None
-
-
 def _known(run: Run, groups: Sequence[str] = GROUPS) -> list[str]:
     return [
         f"{group}.{field}"
         for group in groups
         for i in run.log.vehicles[:1]
-        if (topic := _topic(run, i, group)) is not None
+        if (topic := topic_of(run, i, group)) is not None
         for field in topic.fields
     ]
 
 
-def _width(topic: Topic, field: str) -> int:
-    values = topic[field]
-    return 1 if values.ndim == 1 else values.shape[1]
-
-
-def _components(runs: Sequence[Run], view: View, name: SignalName, found: _Found) -> tuple[list[int | None], list[str]]:
+def _components(runs: Sequence[Run], view: View, name: SignalName, found: FoundSignal) -> tuple[list[int | None], list[str]]:
     """Which components have an axis, and words on the others."""
     if name.absolute:
         return [None], []
@@ -196,7 +164,7 @@ def _components(runs: Sequence[Run], view: View, name: SignalName, found: _Found
     return list(moving[:MOST_AXES]), words
 
 
-def _getter(name: SignalName, found: _Found, k: int | None) -> Get:
+def _getter(name: SignalName, found: FoundSignal, k: int | None) -> Get:
     group = name.group
 
     def get(run: Run, i: int) -> tuple[Array, Array] | None:
@@ -234,53 +202,3 @@ def _moved(get: Get, shift: dict[int, float]) -> Get:
         return None if series is None else (series[0], series[1] + shift[i])
 
     return moved
-
-
-def _unit(found: _Found, k: int | None) -> str:
-    units = found.unit.split(", ")
-    return units[k] if k is not None and len(units) == found.width else found.unit
-
-
-def _asked(ax: Axes, runs: Sequence[Run], name: SignalName) -> None:
-    lines = []
-    for run in runs:
-        for check in (run.scenario.spec.checks.signal or ()) if run.scenario is not None else ():
-            asked = _as_asked(run, check, name)
-            if asked is None or asked.condition.over != "each" or asked.within_ns is not None:
-                continue
-            for value in sorted({asked.condition.low, asked.condition.high}):
-                if isfinite(value):
-                    words = asked.words.removeprefix(f"{name} ")
-                    lines.append(Threshold(value, asked.after_ns / 1e9, run.log.end, "", words))
-    draw_thresholds(ax, list(dict.fromkeys(lines)))
-
-
-def _as_asked(run: Run, check: SignalCheck, name: SignalName) -> AskedOfSignal | None:
-    if parse_name(check.topic) != name:
-        return None
-    each: dict[int, dict[str, SignalPlace]] = {i: {} for i in run.log.vehicles}
-    if (found := _find(run, name)) is not None:
-        place = SignalPlace(slice(0, 1), _unit(found, found.component))
-        for i in each:
-            topic = _topic(run, i, name.group)
-            if topic is not None and found.field in topic:
-                each[i] = {name.name: place}
-    try:
-        return ask(check, each)
-    except SignalCheckError:
-        return None
-
-
-def _failed(ax: Axes, runs: Sequence[Run], name: SignalName, shift: dict[int, float] | None) -> None:
-    """A cross on the value of each vehicle that failed a check of the signal, at the time of the failure."""
-    for run in runs:
-        for moment in (verdict.moment for verdict in run.verdicts if verdict.moment is not None):
-            for key, value in moment.values.items():
-                vehicle = re.fullmatch(r"uuv/(\d{1,6})/(.+)", key)
-                if vehicle is None or vehicle[2] != str(name) or value is None:
-                    continue
-                i = int(vehicle[1])
-                ax.plot(
-                    moment.at_s, value + (shift or {}).get(i, 0.0), "x", color=COLOUR, markersize=5,
-                    markeredgewidth=1.2, zorder=6, gid=f"failed-{i}",
-                )  # fmt: skip

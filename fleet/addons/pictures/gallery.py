@@ -44,7 +44,7 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
     "messages": (("messages", "Messages between the agents in space and time", exchange.spacetime),),
     "channel": (("channel", "The acoustic channel: what each modem transmits, hears and loses", channel.timeline),),
     "ages": (("ages", "Age of what was last heard on each link", exchange.ages),),
-    "checks": (),  # a picture for each signal that the checks name
+    "checks": (),  # a picture for each error that the checks are about, and for each signal that they name
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", punctuality),),
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
@@ -87,7 +87,7 @@ def _each(
             continue
         pictures = _pictures(kind, runs, single)
         if not pictures and not asked_for_all:
-            yield kind, kind, runs, "no check of the scenario names a signal that has no picture of its own"
+            yield kind, kind, runs, "no check of the scenario is about an error or names a signal"
         for name, title, make in pictures:
             if name in begun:
                 continue
@@ -106,6 +106,8 @@ def _pictures(kind: str, runs: Sequence[Run], single: Mapping[str, tuple[_Pictur
     if kind in WHAT or kind in single:
         named = any_signal.signals_of_checks(runs) if kind == "checks" else []
         found = WHAT.get(kind, ()) or single.get(kind, ())
+        if kind == "checks":
+            found = tuple(picture for name in any_signal.errors_of_checks(runs) for picture in single[name])
     else:
         signal = parse_name(kind)
         named, found = [] if signal is None else [signal], ()

@@ -14,6 +14,7 @@ from msgspec import convert, structs
 from agents.controllers import CONTROLLERS, laws
 from fleet.addons.pictures.any_signal import file_name
 from fleet.addons.pictures.beliefs import beliefs
+from fleet.addons.pictures.found_signal import plain_name
 from fleet.addons.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.addons.pictures.page import (
     Block,
@@ -31,6 +32,7 @@ from fleet.addons.pictures.page import (
     write_page,
 )
 from fleet.addons.pictures.runs import Run, View, first_words
+from fleet.addons.pictures.signal_limits import ERRORS, PICTURES
 from fleet.logs.payload_kinds import KindCount, count_kinds
 from fleet.logs.reader import OnProgress
 from fleet.logs.run_name import begun_at, run_name
@@ -68,13 +70,13 @@ def _of(verdicts: Iterable[Verdict]) -> list[str]:
     found = []
     for verdict in verdicts:
         signals = [name for name in map(parse_name, verdict.signals) if name is not None]
-        found += [_ERRORS.get(name.name, file_name(name)) for name in signals]
+        found += [
+            PICTURES[ERRORS[plain.name]] if (plain := plain_name(name)).name in ERRORS else file_name(name)
+            for name in signals
+        ]
         if verdict.check in _OF_CHECKS:
             found.append(_OF_CHECKS[verdict.check])
     return found
-
-
-_ERRORS = {"error.e_norm": "error", "error.formation_norm": "formation"}  # signals that have a picture of their own
 
 
 _Name = TypeVar("_Name", int, str)

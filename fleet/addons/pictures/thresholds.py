@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import log10
 from typing import NamedTuple
 
 from matplotlib.axes import Axes
@@ -11,6 +12,10 @@ from fleet.addons.pictures.runs import Run
 from fleet.addons.pictures.shades import union
 from fleet.addons.pictures.style import LABEL_PT, NORMAL
 from fleet.scenario.schema.checks import EVERY, Below, Recovery
+
+
+_FAR = 3.0  # times
+_DECADES = 4.0
 
 
 class Threshold(NamedTuple):
@@ -62,21 +67,45 @@ def _of(vehicles: str | None) -> str:
     return "" if vehicles is None else f", UUV {vehicles}"
 
 
-def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> None:
-    """A heavy dashed line where each holds, and its words at the line's end; those of one value together."""
+def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> list[str]:
+    """A heavy dashed line where each holds, and its words at the line's end; those of one value together. A limit that
+    is far from all values would leave them no room: words on it are returned instead.
+    """
     first, last = ax.get_xlim()
     shown = [one for one in asked if one.begin < last and one.end > first]
+    far = [value for value in dict.fromkeys(one.value for one in shown) if _is_far(ax, value)]
+    outside = [f"outside: {_words([one for one in shown if one.value == value])}" for value in far]
+    shown = [one for one in shown if one.value not in far]
     for k, value in enumerate(sorted({one.value for one in shown})):
         same = [one for one in shown if one.value == value]
         for begin, end in union([(max(one.begin, first), min(one.end, last)) for one in same]):
             ax.plot([begin, end], [value, value], color="black", linewidth=NORMAL,
                     linestyle=(0, (3, 1.5)), zorder=4, gid="check")  # fmt: skip
         va, off = ("top", -2) if k == 0 and len(shown) > len(same) else ("bottom", 2)
-        words = list(dict.fromkeys(one.words for one in same))
-        some = "; ".join(words[:2]) + (f"; and {len(words) - 2} more" if len(words) > 2 else "")
-        text = " ".join(filter(None, ("check:", same[0].asked, some)))
         ax.annotate(
-            text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(-2, off),
+            _words(same), (1.0, value), xycoords=("axes fraction", "data"), xytext=(-2, off),
             textcoords="offset points", ha="right", va=va, fontsize=LABEL_PT, zorder=5, gid="check-name",
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
         )  # fmt: skip
+    return outside
+
+
+def _words(same: Sequence[Threshold]) -> str:
+    words = list(dict.fromkeys(one.words for one in same))
+    some = "; ".join(words[:2]) + (f"; and {len(words) - 2} more" if len(words) > 2 else "")
+    return " ".join(filter(None, ("check:", same[0].asked, some)))
+
+
+def _is_far(ax: Axes, value: float) -> bool:
+    """Whether a limit would squeeze the lines of an axis into a third of it, and is of another size than they are."""
+    if not ax.lines and not ax.collections:
+        return False
+    low, high = ax.get_ylim()
+    if ax.get_yscale() == "log":
+        if value <= 0.0:
+            return True
+        low, high, value = log10(low), log10(high), log10(value)
+        alike = low - _DECADES <= value <= high + _DECADES
+    else:
+        alike = abs(value) <= _FAR * max(abs(low), abs(high))
+    return not alike and max(high, value) - min(low, value) > _FAR * (high - low)

@@ -23,13 +23,14 @@ from fleet.addons.pictures.axes import (
 from fleet.addons.pictures.axes import bounds as draw_bounds
 from fleet.addons.pictures.beliefs import beliefs
 from fleet.addons.pictures.runs import Run, View, with_gaps
+from fleet.addons.pictures.signal_limits import draw_limits
 from fleet.addons.pictures.style import (
     HEAVY,
     plain_decades,
 )
-from fleet.addons.pictures.thresholds import draw_thresholds, thresholds
 from fleet.logs.records import Array
 from fleet.scenario.sections.per_vehicle import Control
+from fleet.scenario.sections.signals import SignalName
 
 # Signals of the vehicles over time: errors with the limits of checks, inputs with their limits.
 
@@ -51,13 +52,13 @@ def component(group: str, name: str, k: int = 0) -> Get:
 
 def consensus(runs: Sequence[Run], view: View) -> Figure:
     """|e_i| of each vehicle."""
-    return _norm(runs, view, "e_norm", "consensus error $|e|$ [m]", "consensus")
+    return _norm(runs, view, "e_norm", "consensus error $|e|$ [m]")
 
 
 def formation(runs: Sequence[Run], view: View) -> Figure:
     """Distance of each vehicle from its desired position; below it what vehicles that navigate believe of it."""
     believed = any(beliefs(run.log, i) for run in runs for i in run.vehicles(view))
-    return _norm(runs, view, "formation_norm", "formation error [m]", "formation", believed=believed)
+    return _norm(runs, view, "formation_norm", "formation error [m]", believed=believed)
 
 
 def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
@@ -68,16 +69,19 @@ def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
     return t, values[:, 0]
 
 
-def _norm(runs: Sequence[Run], view: View, name: str, label: str, error: str, *, believed: bool = False) -> Figure:
+def _norm(runs: Sequence[Run], view: View, name: str, label: str, *, believed: bool = False) -> Figure:
     figure, axes = over_time(2, runs, view) if believed else over_time(1, runs, view, 2.4)
     log = view.log_scale is not False
     panel = list(zip(axes, (component("error", name), _believed_formation), strict=False))
     notes = draw_lines(figure, panel, runs, view, log=log)
-    draw_thresholds(axes[0], thresholds(runs, error))
     for ax, text in zip(axes, (label, "as they believe it [m]"), strict=False):
         ax.set_ylabel(text)
         if log:
             _logarithmic(ax)
+    notes += draw_limits(axes[0], runs, view, SignalName(f"error.{name}"))
+    for ax in axes:
+        if log:
+            _logarithmic(ax)  # limits may lie beyond the lines
         else:
             ax.set_ylim(0.0, None)
     finish(figure, axes, runs, notes)

@@ -86,7 +86,7 @@ def test_the_name_of_one_vehicle_is_drawn_alone(run: Run) -> None:
 
 
 def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
-    """Also those that a check in Python looked at; `error.e_norm` has a picture already."""
+    """Also those that a check in Python looked at. `error.e_norm` has a picture of its own, which comes first."""
     assert list(map(str, signals_of_checks([run]))) == [
         "state.z",
         "control.leads",
@@ -94,7 +94,7 @@ def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
         "control.leads_until",
     ]
     names = [name for name, _, _ in draw(["checks"], [run], View())]
-    assert names == ["state.z", "control.leads", "control.leader", "control.leads_until"]
+    assert names == ["error", "state.z", "control.leads", "control.leader", "control.leads_until"]
     assert telling(run)[0] == "state.z"
 
 
@@ -105,7 +105,7 @@ def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(run: Run, m
         text.index(part) for part in ('class="fail">2 of 7 checks failed', "<figure", ">shallow<", ">near<", ">Faults<")
     ]
     assert places == sorted(places)
-    assert "alt=" in text and text.count("<figure") == 4
+    assert "alt=" in text and text.count("<figure") == 5
     assert "Packets by kind of payload" in text and "<td>election</td>" in text
 
 

@@ -18,8 +18,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 
 from fleet.addons.page.view_state import SAMPLE_S, Row, ViewState
+from fleet.addons.pictures.look import LABEL_PT, LEGEND_PT, TEXT_PT
 from fleet.addons.pictures.shades import union
-from fleet.addons.pictures.style import LABEL_PT, LEGEND_PT, TEXT_PT, THIN
+from fleet.addons.pictures.style import THIN
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.recorder.scene.link_state import CUT, LinkState

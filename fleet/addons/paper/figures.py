@@ -13,19 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fleet.addons.paper.cases import CASES, NAMES, D, Outcome, U
-from fleet.addons.pictures.style import (
-    HEAVY,
-    LABEL_PT,
-    LEGEND_PT,
-    NORMAL,
-    TEXT_PT,
-    THIN,
-    Provenance,
-    legend,
-    limit,
-    panels,
-    save,
-)
+from fleet.addons.pictures.look import LABEL_PT, LEGEND_PT, TEXT_PT
+from fleet.addons.pictures.style import HEAVY, NORMAL, THIN, Provenance, legend, limit, panels, save
 from fleet.palette import COLOURS
 
 Point = tuple[float, float]

@@ -15,14 +15,9 @@ from fleet.addons.pictures.axes import (
     MOST_NAMED,
     legend_of,
 )
+from fleet.addons.pictures.look import column_in, label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
-from fleet.addons.pictures.style import (
-    COLUMN_IN,
-    LABEL_PT,
-    STYLES,
-    THIN,
-    panels,
-)
+from fleet.addons.pictures.style import STYLES, THIN, panels
 from fleet.logs.schemas import CLOCK
 from fleet.palette import COLOURS
 from fleet.result.file import ResultError, read_result
@@ -36,7 +31,7 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
     """Above, what share of each agent's answers took longer than so long; below, of deliveries."""
     (run,) = runs
     timing = _timing(run)
-    figure, (top, bottom) = panels(2, 1, COLUMN_IN, 3.9)
+    figure, (top, bottom) = panels(2, 1, column_in(), 3.9)
     rows = {i: timing.vehicles[str(i)] for i in run.vehicles(view)}
     worst = sorted(rows, key=lambda i: -rows[i].response.p99_ms)[: MOST_NAMED - 1]
     for i, row in rows.items():
@@ -58,13 +53,13 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
         ax.set_xscale("log")
         ax.set_yscale("log")
     top.tick_params(labelbottom=True)
-    top.text(timing.world.period_ms, 0.6, " a tick", fontsize=LABEL_PT, va="top")
+    top.text(timing.world.period_ms, 0.6, " a tick", fontsize=label_pt(), va="top")
     top.set_xlabel("answer after its tick began [ms of wall time]")
     bottom.set_xlabel("delay [ms]")
     more = [("others", GREY, "-")] if len(rows) > len(worst) else []
     legend_of(figure, [*((f"UUV {i}", COLOURS[k], STYLES[k]) for k, i in enumerate(sorted(worst))), *more])
     handles = [Line2D([], [], color=colour, linestyle=style, label=name) for name, colour, style, _ in shown]
-    bottom.legend(handles=handles, fontsize=LABEL_PT, loc="lower left")
+    bottom.legend(handles=handles, fontsize=label_pt(), loc="lower left")
     return figure
 
 

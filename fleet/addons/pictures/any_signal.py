@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from textwrap import wrap
+from textwrap import shorten
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,7 +28,7 @@ from netem.parsing import nearest
 MOST_AXES = 8  # components of a vector
 MOST_UNASKED = 6  # signals that are drawn because checks name them
 _FEW_VALUES = 12  # whole numbers on an axis: then lines that would hide each other are moved apart
-_LINE = 52  # characters that fit below a picture
+_MOST_WORDS = 120  # characters of what a signal means
 
 
 def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
@@ -125,7 +125,7 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
     if shift is not None:
         notes.append("lines are offset for clarity")
     if found.meaning:
-        notes = [*wrap(f"{name.name.partition('.')[2]}: {found.meaning}", _LINE)[:2], *notes]
+        notes = [shorten(f"{name.name.partition('.')[2]}: {found.meaning}", _MOST_WORDS), *notes]
     finish(figure, axes, runs, notes)
     return figure
 
@@ -140,7 +140,9 @@ def _known(run: Run, groups: Sequence[str] = GROUPS) -> list[str]:
     ]
 
 
-def _components(runs: Sequence[Run], view: View, name: SignalName, found: FoundSignal) -> tuple[list[int | None], list[str]]:
+def _components(
+    runs: Sequence[Run], view: View, name: SignalName, found: FoundSignal
+) -> tuple[list[int | None], list[str]]:
     """Which components have an axis, and words on the others."""
     if name.absolute:
         return [None], []

@@ -16,20 +16,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
+from fleet.addons.pictures.caption import write_caption
+from fleet.addons.pictures.look import column_in, label_pt, legend_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.addons.pictures.shades import MOST_CHARACTERS, shade, words
-from fleet.addons.pictures.style import (
-    COLUMN_IN,
-    LABEL_PT,
-    LEGEND_PT,
-    NORMAL,
-    STYLE_NAMES,
-    STYLES,
-    TEXT_PT,
-    THIN,
-    limit,
-    panels,
-)
+from fleet.addons.pictures.style import HALO, NORMAL, STYLE_NAMES, STYLES, THIN, limit, panels
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
@@ -57,8 +48,8 @@ def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
         rows[row : row + 1] = [at_s]
         axes[0].annotate(
             f"✗{number}", (at_s, 0.0), xycoords=("data", "axes fraction"), textcoords="offset points",
-            xytext=(1.5, 2 + row * (LABEL_PT + 2)), color=COLOUR, fontsize=LABEL_PT, ha="left", va="bottom", zorder=5,
-            gid="failed-check-name", bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.3},
+            xytext=(1.5, 2 + row * (label_pt() + 2)), color=COLOUR, fontsize=label_pt(), ha="left", va="bottom",
+            zorder=5, gid="failed-check-name", path_effects=HALO,
         )  # fmt: skip
         words.append(f"✗{number}  fails at {at_s:g} s: {', '.join(names)}")
     return words + ([f"and at {len(shown) - MOST_MARKS} more times"] if len(shown) > MOST_MARKS else [])
@@ -243,23 +234,30 @@ def over_time(
     rows: int, runs: Sequence[Run], view: View, height: float | None = None, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
     """Axes above each other that share the time axis, at column width."""
-    figure, axes = panels(rows, 1, COLUMN_IN, height or 1.3 * rows + 0.8, ratios)
+    figure, axes = panels(rows, 1, column_in(), height or 1.3 * rows + 0.8, ratios)
     end = max(run.log.end for run in runs)
     axes[0].set_xlim(*(view.window or (min(run.log.begin for run in runs), end or 1.0)))
     return figure, axes
 
 
-def finish(figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], notes: Sequence[str] = ()) -> None:
-    """Shade the faults, name them above the first axis, label the time axis and put the words below it."""
+def finish(
+    figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], notes: Sequence[str] = (), columns: int = 1
+) -> None:
+    """Shade the faults, name them above the first axis, label the time axis and put the words below everything.
+
+    `columns`: how many axes stand beside each other.
+    """
     named = _shade(axes, runs)
     lines = [*named, *draw_failures(axes, runs), *notes]
     for run in runs:
         if run.log.missing:
             whose = f"{run.label}: " if len(runs) > 1 else ""
             lines.append(f"{whose}the log is not whole, it ends at {run.log.end:g} s")
-    axes[-1].set_xlabel("\n".join(["time [s]", *lines]))
+    for ax in axes[-columns:]:
+        ax.set_xlabel("time [s]")
     rows = {text.xyann[1] for text in axes[0].texts if isinstance(text, Annotation) and text.get_gid() == "fault-name"}
-    _grow(figure, TEXT_PT * len(lines) + LABEL_PT * len(rows))
+    _grow(figure, label_pt() * len(rows))
+    write_caption(figure, lines)
     figure.align_ylabels(list(axes))
 
 
@@ -382,7 +380,7 @@ def marks_legend(figure: Figure, handles: Sequence[Artist], *, below: bool = Fal
 
     fitting = next((n for n in range(len(widths), 1, -1) if needed(n) <= 72.0 * figure.get_figwidth()), 1)
     fitting = -(-len(widths) // -(-len(widths) // fitting))  # rows of about the same length
-    _grow(figure, LEGEND_PT * (-(-len(widths) // fitting) - 1))
+    _grow(figure, legend_pt() * (-(-len(widths) // fitting) - 1))
     figure.legend(
         handles=list(handles), loc="outside lower center" if below else "outside upper center", ncols=fitting,
         columnspacing=1.0, handlelength=1.8, handletextpad=0.5,

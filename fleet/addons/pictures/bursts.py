@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from fleet.addons.pictures.style import COLUMN_IN, Provenance, format_of, legend, line, panels, plain_decades, save_as
+from fleet.addons.pictures.look import column_in
+from fleet.addons.pictures.style import Provenance, format_of, legend, line, panels, plain_decades, save_as
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -28,7 +29,7 @@ def draw_bursts(
     the file cannot be written, or its suffix is none of a picture.
     """
     format_of(path)  # before the work
-    figure, axes = panels(len(measured), 1, COLUMN_IN, 2.1 * len(measured) + 0.4, share=False)
+    figure, axes = panels(len(measured), 1, column_in(), 2.1 * len(measured) + 0.4, share=False)
     for ax, (kind, lengths) in zip(axes, measured.items(), strict=True):
         _panel(ax, what, lengths, {name: kinds[kind] for name, kinds in models.items()})
         ax.set_xlabel(f"{kind}: n [packets]")

@@ -18,8 +18,8 @@ from matplotlib.patches import Patch
 
 from fleet.addons.pictures.axes import finish, marks_legend, over_time
 from fleet.addons.pictures.exchange import FATES, links_between, name_rows, rank
+from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
-from fleet.addons.pictures.style import LABEL_PT
 from fleet.logs.open_log import open_log
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
@@ -168,7 +168,7 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
         handles.append(Patch(color=colour, linewidth=0, label="hears" if kind == Cause.DELIVERED else kind))
     named = _name_senders(ax, bars, view.window)
     ax.set_ylim(len(modems) - 0.5, -0.5)
-    name_rows(ax, [run.vehicle_label(i) for i in modems], LABEL_PT)
+    name_rows(ax, [run.vehicle_label(i) for i in modems], label_pt())
     for row in range(1, len(modems)):
         ax.axhline(row - 0.5, color="0.85", linewidth=0.4, zorder=1)
     ax.grid(axis="y", visible=False)
@@ -215,7 +215,7 @@ def _name_senders(ax: Axes, bars: Sequence[_Bar], window: tuple[float, float]) -
         wide = bar.end - bar.begin > _NAMED * (window[1] - window[0])
         if bar.kind != SENDS and wide and tall > 0.15 and window[0] < middle < window[1]:
             named = True
-            ax.text(middle, (bar.top + bar.bottom) / 2, str(bar.src), color="black", fontsize=LABEL_PT - 1,
+            ax.text(middle, (bar.top + bar.bottom) / 2, str(bar.src), color="black", fontsize=label_pt() - 1,
                     ha="center", va="center_baseline", zorder=3)  # fmt: skip
     return named
 

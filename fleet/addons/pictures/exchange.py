@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.addons.pictures.axes import finish, legend_of, marks_legend, over_time
+from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
-from fleet.addons.pictures.style import LABEL_PT, THIN, plain_decades
+from fleet.addons.pictures.style import THIN, plain_decades
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
@@ -296,7 +297,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     for ax, (run, links), table in zip(axes[1:], tables, peaks, strict=True):
         which = ""
         if len(runs) > 1:
-            ax.set_title(run.label, loc="left", fontsize=LABEL_PT)
+            ax.set_title(run.label, loc="left", fontsize=label_pt())
         if len(links) > _MOST_LINKS:
             which = f"the {_MOST_NAMED} oldest of {len(links)}"
             order = np.argsort(-np.nan_to_num(np.nanmean(table, axis=1)), kind="stable")[:_MOST_NAMED]
@@ -304,7 +305,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
         mesh = ax.pcolormesh(edges, np.arange(len(links) + 1) - 0.5, np.ma.masked_invalid(table), norm=norm,
                              cmap="cividis", rasterized=True)  # fmt: skip
         ax.set_ylim(len(links) - 0.5, -0.5)
-        name_rows(ax, [run.link_label(link) for link in links], LABEL_PT)
+        name_rows(ax, [run.link_label(link) for link in links], label_pt())
         ax.set_ylabel(f"link\n{which}" if which else "link")
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from textwrap import wrap
 
 import numpy as np
 from matplotlib.collections import PolyCollection
@@ -19,10 +18,8 @@ from fleet.addons.pictures.axes import (
     over_time,
 )
 from fleet.addons.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
+from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
-from fleet.addons.pictures.style import (
-    LABEL_PT,
-)
 from fleet.logs.payload_kinds import DAMAGED, count_kinds
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
@@ -82,11 +79,11 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
                            gid=f"fate-{fate}")
         )  # fmt: skip
     ax.set_ylim(len(rows) - 0.4, -0.6)
-    name_rows(ax, [row.name for row in rows], LABEL_PT)
+    name_rows(ax, [row.name for row in rows], label_pt())
     for k, row in enumerate(rows):
         share = f"{100.0 * row.arrived:.3g} %" if row.total else "none"
         ax.annotate(share, (1.0, k), xycoords=("axes fraction", "data"), xytext=(2, 0), textcoords="offset points",
-                    fontsize=LABEL_PT - 0.5, va="center", color="0.25", gid="arrived")  # fmt: skip
+                    fontsize=label_pt() - 0.5, va="center", color="0.25", gid="arrived")  # fmt: skip
     ax.set_ylabel("link")
     ax.grid(False)
     marks_legend(figure, [Patch(color=_colour(fate), label=f"{fate} {counts[fate]}") for fate in shown])
@@ -108,7 +105,7 @@ def kinds_line(run: Run, links: Sequence[Link]) -> list[str]:
         return []
     each = [f"{one.kind} {one.packets} ({one.delivered / one.packets:.0%} whole)" for one in kinds[:_MOST_KINDS]]
     more = [f"{len(kinds) - _MOST_KINDS} more kinds"] if len(kinds) > _MOST_KINDS else []
-    return wrap("kinds: " + ", ".join(each + more), 54)
+    return ["kinds: " + ", ".join(each + more)]
 
 
 def fold(rows: list[Row]) -> list[Row]:

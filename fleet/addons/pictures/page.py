@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from fleet.addons.pictures.style import COLUMN_IN, DPI
+from fleet.addons.pictures.look import COLUMN_IN
+from fleet.addons.pictures.style import DPI
 from fleet.errors import FleetError
 from netem.whole_file import whole_file
 

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from functools import cache
-from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.transforms import ScaledTranslation
 
-from fleet.addons.pictures.style import LABEL_PT, THIN
+from fleet.addons.pictures.caption import text_width_pt
+from fleet.addons.pictures.look import label_pt
+from fleet.addons.pictures.style import THIN
 from fleet.logs.fault_intervals import FaultInterval
 from fleet.scenario.sections.vehicle_events import is_fault, vehicle_events
 
@@ -75,7 +73,7 @@ def _rows(
     taken: list[float] = []  # until where each row is
     rows = []
     for fault, text in zip(faults, texts, strict=True):
-        width = (text_width_pt(text, LABEL_PT) + 4.0) * per_pt
+        width = (text_width_pt(text, label_pt()) + 4.0) * per_pt
         begin = _left(fault, width, first, last)
         row = next((k for k, until in enumerate(taken) if until <= begin), len(taken))
         if row >= MOST_ROWS:
@@ -104,11 +102,11 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
     if rows is None:
         return [f"{len(faults)} faults, too many to name"]
     for fault, text, row in zip(faults, texts, rows, strict=True):
-        width = (text_width_pt(text, LABEL_PT) + 4.0) * per_pt
-        above = 2.0 + row * (LABEL_PT + 3.0)
+        width = (text_width_pt(text, label_pt()) + 4.0) * per_pt
+        above = 2.0 + row * (label_pt() + 3.0)
         ax.annotate(
             text, (_left(fault, width, first, last), 1.0), xycoords=("data", "axes fraction"), xytext=(0, above + 1.0),
-            textcoords="offset points", fontsize=LABEL_PT, color=_NAME, annotation_clip=False, gid="fault-name",
+            textcoords="offset points", fontsize=label_pt(), color=_NAME, annotation_clip=False, gid="fault-name",
         )  # fmt: skip
         raised = ScaledTranslation(0.0, above / 72.0, _figure(ax).dpi_scale_trans)
         extent = [max(fault.begin, first), min(fault.end, last)]
@@ -145,14 +143,3 @@ def _figure(ax: Axes) -> Figure:
     figure = ax.get_figure(root=True)
     assert figure is not None
     return figure
-
-
-def text_width_pt(text: str, size: float) -> float:
-    """The width of a text [pt] in the font of the pictures."""
-    width, _, _ = _renderer().get_text_width_height_descent(text, FontProperties(size=size), False)
-    return float(width)
-
-
-@cache
-def _renderer() -> Any:
-    return RendererAgg(1, 1, 72.0)  # type: ignore[no-untyped-call]

@@ -12,18 +12,19 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from fleet.addons.pictures.look import LEGEND_PT, TEXT_PT, page_in
 from fleet.errors import FleetError
 from fleet.palette import COLOURS
 from netem.whole_file import whole_file
 
 STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
 STYLE_NAMES = ("solid", "dashed", "dash-dot", "dotted", "dash-dot-dot", "densely dotted", "long dashes")
-COLUMN_IN, PAGE_IN = 3.5, 7.0  # widths of a column and of a page of a journal
 DPI = 300
-LABEL_PT, LEGEND_PT, TEXT_PT = 6.0, 7.0, 8.0  # names within a picture; legends and numbers; everything else
 THIN, NORMAL, HEAVY = 0.7, 1.0, 3.0  # widths of lines [pt]: limits and many lines; few lines; what stands out
+HALO = (withStroke(linewidth=1.5, foreground="white"),)  # of words on lines: a box would hide data
 FORMATS = ("png", "svg", "pdf")
 _MOST_PLAIN = 4.0  # decades
 
@@ -53,13 +54,15 @@ matplotlib.rcParams.update(
 def panels(
     rows: int,
     columns: int,
-    width: float = PAGE_IN,
+    width: float | None = None,
     height: float | None = None,
     ratios: Sequence[float] | None = None,
     share: bool | Literal["col"] = True,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with a grid of axes, which share one horizontal axis, or with `col` one in each column."""
-    figure = Figure(figsize=(width, height or 1.6 * rows + 0.5), layout="constrained")
+    """A figure with a grid of axes, which share one horizontal axis, or with `col` one in each column. It is as wide as
+    a page, if no width is given [inches].
+    """
+    figure = Figure(figsize=(width or page_in(), height or 1.6 * rows + 0.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, sharex=share, squeeze=False, height_ratios=ratios)
     return figure, [ax for row in axes for ax in row]

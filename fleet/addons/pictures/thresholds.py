@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 from matplotlib.axes import Axes
 
+from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import Run
 from fleet.addons.pictures.shades import union
-from fleet.addons.pictures.style import LABEL_PT, NORMAL
+from fleet.addons.pictures.style import HALO, NORMAL
 from fleet.scenario.schema.checks import EVERY, Below, Recovery
-
 
 _FAR = 3.0  # times
 _DECADES = 4.0
@@ -84,8 +84,8 @@ def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> list[str]:
         va, off = ("top", -2) if k == 0 and len(shown) > len(same) else ("bottom", 2)
         ax.annotate(
             _words(same), (1.0, value), xycoords=("axes fraction", "data"), xytext=(-2, off),
-            textcoords="offset points", ha="right", va=va, fontsize=LABEL_PT, zorder=5, gid="check-name",
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
+            textcoords="offset points", ha="right", va=va, fontsize=label_pt(), zorder=5, gid="check-name",
+            path_effects=HALO,
         )  # fmt: skip
     return outside
 

@@ -21,8 +21,10 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from fleet.addons.pictures.axes import MOST_NAMED, marks_legend, outliers, spread, vehicle_colours
 from fleet.addons.pictures.beliefs import beliefs
+from fleet.addons.pictures.caption import write_caption
+from fleet.addons.pictures.look import column_in, label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
-from fleet.addons.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, NORMAL, STYLE_NAMES, STYLES, THIN
+from fleet.addons.pictures.style import NORMAL, STYLE_NAMES, STYLES, THIN
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
@@ -229,7 +231,7 @@ def _sheet(low: Array, high: Array) -> tuple[Figure, Axes, bool]:
     tall = (high - low)[0] > _TALL * (high - low)[1]
     room = 1.7 if tall else 2.85  # in, for the axes
     height = float(np.clip(room * (high - low)[0] / (high - low)[1], 1.0, 4.2))
-    figure = Figure(figsize=(COLUMN_IN, height + (0.75 if tall else 1.0)), layout="compressed")
+    figure = Figure(figsize=(column_in(), height + (0.75 if tall else 1.0)), layout="compressed")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
     ax.set_xlim(low[1], high[1])
@@ -271,7 +273,7 @@ def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
                     markeredgewidth=0.0, zorder=above + 1, gid=f"direction-{track.vehicle}")  # fmt: skip
         if many:
             ax.annotate(str(track.vehicle), (p[-1, 1], p[-1, 0]), xytext=(3, 1), textcoords="offset points",
-                        fontsize=LABEL_PT, color="0.25", gid="number")  # fmt: skip
+                        fontsize=label_pt(), color="0.25", gid="number")  # fmt: skip
     return {track.vehicle for track in distinct}
 
 
@@ -287,7 +289,7 @@ def space(runs: Sequence[Run], view: View) -> Figure:
     courses = [np.array([point[1:] for point in thing.points]) for thing in standing if isinstance(thing, LineShape)]
     ways = _believed(tracks, view)
     low, high = _extent([*(track.positions for track in tracks), *(way.positions for way in ways), *courses])
-    figure = Figure(figsize=(COLUMN_IN, 3.4), layout="constrained")
+    figure = Figure(figsize=(column_in(), 3.4), layout="constrained")
     FigureCanvasAgg(figure)
     ax: Any = figure.add_subplot(projection="3d")
     factor, sides = _turn(ax, low, high)
@@ -508,8 +510,7 @@ def _explained(
 
 def _finish(figure: Figure, runs: Sequence[Run], happened: Sequence[Happening], notes: Sequence[str]) -> None:
     cut = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
-    if words := [*notes, *told(happened), *cut]:
-        figure.supxlabel("\n".join(words), fontsize=LEGEND_PT)
+    write_caption(figure, [*notes, *told(happened), *cut])
 
 
 def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:

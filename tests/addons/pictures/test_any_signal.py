@@ -11,6 +11,7 @@ from in_process_runs import Alone
 from matplotlib.figure import Figure
 
 from fleet.addons.pictures.any_signal import signals_of_checks
+from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.gallery import WHAT, draw
 from fleet.addons.pictures.report import page, telling
 from fleet.addons.pictures.runs import Run, View, load
@@ -45,18 +46,19 @@ def figure(run: Run, name: str, view: View | None = None) -> Figure:
 
 
 def test_whole_numbers_are_steps_that_do_not_hide_each_other(run: Run) -> None:
-    (ax,) = figure(run, "control.leader").axes
+    drawn = figure(run, "control.leader")
+    (ax,) = drawn.axes
     lines = [line for line in ax.get_lines() if "-vehicle-" in str(line.get_gid())]
     assert len(lines) == 5 and {line.get_drawstyle() for line in lines} == {"steps-post"}
     last = [float(np.asarray(line.get_ydata())[-1]) for line in lines]
     assert len(set(last)) == 5 and {round(value) for value in last} == {1}
-    assert "number of the leader" in " ".join(ax.get_xlabel().split())
+    assert "number of the leader" in caption_of(drawn)
     crosses = [
         line for line in ax.get_lines() if str(line.get_gid()).startswith("failed-") and line.get_marker() == "x"
     ]
     (moment,) = [verdict.moment for verdict in run.verdicts if verdict.check == "nobody"]
     assert crosses and {float(np.asarray(cross.get_xdata())[0]) for cross in crosses} == {moment.at_s}
-    assert "fails at" in ax.get_xlabel()
+    assert "fails at" in caption_of(drawn)
 
 
 def test_other_numbers_are_lines_with_what_a_check_asks(run: Run) -> None:

@@ -11,6 +11,7 @@ from small_scenario import small
 
 from fleet.addons.pictures import gallery
 from fleet.addons.pictures.axes import MOST_MARKS
+from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.runs import View, load
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
@@ -41,7 +42,7 @@ def test_each_moment_is_a_line_with_a_number(directory: Path) -> None:
     assert len(at) >= 2 and marks(figure) == at[:MOST_MARKS]
     names = [text.get_text() for text in figure.axes[0].texts if text.get_gid() == "failed-check-name"]
     assert names == [f"✗{k + 1}" for k in range(len(marks(figure)))]
-    words = figure.axes[-1].get_xlabel()
+    words = caption_of(figure)
     assert f"✗1  fails at {at[0]:g} s: formation_error\n" in words
     assert len(at) <= MOST_MARKS or f"and at {len(at) - MOST_MARKS} more times" in words
     assert marks(gallery.consensus([run], View(window=(at[0] + 0.001, 1.0)))) == at[1 : MOST_MARKS + 1]

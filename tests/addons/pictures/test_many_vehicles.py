@@ -10,6 +10,7 @@ from in_process_runs import Alone
 from matplotlib.collections import LineCollection
 
 from fleet.addons.pictures import exchange, gallery, track
+from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.report import MOST_ROWS, _tables
 from fleet.addons.pictures.runs import Run, View, load
 from fleet.logs.info import info_text, read_info
@@ -81,4 +82,4 @@ def test_messages_are_those_about_the_worst_link(run: Run) -> None:
     names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert len(names) == 20
     assert {"UUV 30", "UUV 31"} <= set(names)
-    assert f"20 of {N} vehicles" in figure.axes[0].get_xlabel()
+    assert f"20 of {N} vehicles" in caption_of(figure)

@@ -22,6 +22,7 @@ from tool import invoke
 
 import fleet
 from fleet.addons.pictures import exchange
+from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.addons.pictures.report import _from_log, links_table, page
 from fleet.addons.pictures.report import write as write_report
@@ -132,7 +133,7 @@ def test_faults_are_shaded_and_named_on_every_time_axis(runs: dict[str, Run]) ->
             assert (extent.x0, extent.x1) == pytest.approx((1.0, 2.0))
         named = [text.get_text() for text in timed[0].texts if text.get_gid() == "fault-name"]
         assert named == ["crash: kill 2", "cut: partition halves"]
-        assert timed[-1].get_xlabel().startswith("time [s]\ntumbled 2: at ")
+        assert timed[-1].get_xlabel() == "time [s]" and caption_of(figure).startswith("tumbled 2: at ")
 
 
 def test_a_line_per_vehicle_that_breaks_where_the_agent_is_dead(runs: dict[str, Run]) -> None:
@@ -152,7 +153,7 @@ def test_heavy_where_a_command_is_at_its_limit(runs: dict[str, Run]) -> None:
     drawn = [line for ax in figure.axes for line in lines(ax, ".*-saturated")]
     assert drawn
     assert all(np.nanmin(np.abs(line.get_ydata())) == pytest.approx(20.0) for line in drawn)
-    assert "heavy: the command is at a limit" in figure.axes[-1].get_xlabel()
+    assert "heavy: the command is at a limit" in caption_of(figure)
 
 
 def test_logarithmic_errors(runs: dict[str, Run]) -> None:
@@ -192,14 +193,14 @@ def test_two_runs_on_one_axis(directories: dict[str, Path]) -> None:
 def test_what_is_missing_is_said(runs: dict[str, Run]) -> None:
     """A controller that reports other signals, a log without links, one that was cut, one that is not ours."""
     figure = figure_of(runs["mixed"], "guidance.K", "guidance.K")
-    assert "not reported by UUV 3" in figure.axes[-1].get_xlabel()
+    assert "not reported by UUV 3" in caption_of(figure)
     own = pictures(runs["mixed"], ["guidance.K", "inputs"], View(vehicles=(3,)))
     assert "no vehicle reports it" in str(own["guidance.K"])
     assert isinstance(own["inputs"], Figure)
     assert pictures(runs["mixed"], ["error"], View(vehicles=(9,)))["error"] == "the log has no such vehicle"
     assert pictures(runs["one"], ["links"])["links"] == "the log has no links"
     cut = figure_of(runs["cut"], "error", "error")
-    assert f"the log is not whole, it ends at {runs['cut'].log.end:g} s" in cut.axes[0].get_xlabel()
+    assert f"the log is not whole, it ends at {runs['cut'].log.end:g} s" in caption_of(cut)
     foreign = Run(fleet.open_log(runs["faulty"].log.path, ["uuv/*/state"]), "x")
     foreign.log.run = {}
     foreign.log.scenario_text = ""
@@ -230,13 +231,13 @@ def test_track_has_east_to_the_right_and_north_up(runs: dict[str, Run]) -> None:
     assert dead.get_xdata()[0] == runs["faulty"].log["uuv/2/state"].y[k]
     assert lines(ax, "tumbled-2") and not lines(ax, "agent dead-1")
     assert len(lines(ax, "place")) == 4 and len(lines(ax, "direction-1")) == 3
-    words = figure.get_supxlabel()
+    words = caption_of(figure)
     assert "agent dead: UUV 2 at 1 s" in words and "tumbled: UUV 2 at" in words
     space: Any = figure_of(runs["faulty"], "track", "track-3d").axes[0]
     low, high = space.get_zlim()
     assert low > high  # depth grows downwards
     below = figure_of(runs["faulty"], "track", "track-3d")
-    (told,) = re.findall(r"depth exaggerated (\d+) times|depth (to scale)", below.get_supxlabel())
+    (told,) = re.findall(r"depth exaggerated (\d+) times|depth (to scale)", caption_of(below))
     factor = int(told[0] or 1)
     east, north = (np.ptp(limits) for limits in (space.get_xlim(), space.get_ylim()))
     drawn = space._box_aspect
@@ -320,7 +321,7 @@ def test_the_ages_say_what_is_drawn(runs: dict[str, Run]) -> None:
     figure = figure_of(runs["faulty"], "ages", "ages")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["oldest link, peaks", "median link, means"]
-    assert "peak and mean in bins of " in figure.axes[1].get_xlabel()
+    assert "peak and mean in bins of " in caption_of(figure)
     assert figure.axes[-1].get_ylabel() == "age [s], peaks"
 
 

@@ -7,8 +7,9 @@ from itertools import combinations
 import pytest
 from matplotlib.text import Text
 
+from fleet.addons.pictures.look import COLUMN_IN
 from fleet.addons.pictures.shades import shade, union, words
-from fleet.addons.pictures.style import COLUMN_IN, panels
+from fleet.addons.pictures.style import panels
 from fleet.logs.fault_intervals import FaultInterval
 
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from small_scenario import small
 
+from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.gallery import WHAT, draw
 from fleet.addons.pictures.report import telling
 from fleet.addons.pictures.runs import Run, View, load
@@ -86,9 +87,10 @@ def test_checks_are_pictures_of_errors_too(run: Run) -> None:
 
 def test_a_condition_that_has_to_come_true_is_drawn_while_it_may(run: Run) -> None:
     """A limit of vehicles together is no line, and one that is far from all of them leaves no room for them."""
-    (ax,) = drawn(run, ["state.z"])["state.z"].axes
+    figure = drawn(run, ["state.z"])["state.z"]
+    (ax,) = figure.axes
     assert asked(ax) == {3.0: (0.1, 0.4)}
-    words = " ".join(ax.get_xlabel().split())
+    words = caption_of(figure)
     assert "check: spread over the vehicles below 40 m" in words and "outside: check: below 1 km" in words
     assert ax.get_ylim()[1] < 4.0
 

@@ -13,8 +13,8 @@ from PIL import Image
 from repository import ROOT
 
 from fleet.addons.pictures.gallery import write
+from fleet.addons.pictures.look import COLUMN_IN, LABEL_PT, LEGEND_PT, TEXT_PT
 from fleet.addons.pictures.runs import View, load
-from fleet.addons.pictures.style import COLUMN_IN, LABEL_PT, LEGEND_PT, TEXT_PT
 from fleet.logs.reader import digest
 
 

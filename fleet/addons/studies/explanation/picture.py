@@ -10,9 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
+from fleet.addons.pictures.caption import write_caption
+from fleet.addons.pictures.look import label_pt, page_in
 from fleet.addons.pictures.runs import with_gaps
 from fleet.addons.pictures.shades import shade
-from fleet.addons.pictures.style import LABEL_PT, PAGE_IN, THIN, Provenance, format_of, legend, line, panels, save_as
+from fleet.addons.pictures.style import THIN, Provenance, format_of, legend, line, panels, save_as
 from fleet.addons.studies.explanation.evidence import ON_THE_WAY, TOPICS
 from fleet.addons.studies.explanation.why import Why, link_name, name_of
 from fleet.logs.open_log import Log, open_log
@@ -34,7 +36,7 @@ def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
     log = open_log(log_path, TOPICS)
     links = _silent(why)
     height = 0.5 + 0.14 * max(4, len(links))
-    figure, (above, below) = panels(2, 1, PAGE_IN, height + 3.0, [height, 1.9])
+    figure, (above, below) = panels(2, 1, page_in(), height + 3.0, [height, 1.9])
     _draw_gaps(above, why, links)
     below.set_ylabel(_draw_signal(below, why, log))
     below.set_xlim(log.begin, scenario.duration_ns / 1e9)
@@ -44,12 +46,13 @@ def draw(why: Why, log_path: Path, scenario: Scenario, path: Path) -> None:
             ax.axvline(why.no_return.passes_s, color=_PASSES, linewidth=1.2, linestyle=(0, (4, 2)),
                        label="healed here, it passes")  # fmt: skip
     numbered = shade([above, below], log.faults)
-    below.set_xlabel("\n".join(["time [s]", *numbered]))
+    below.set_xlabel("time [s]")
     legend(figure, below, 5)
+    write_caption(figure, numbered)
     causes = dict.fromkeys(gap.cause for gap in why.gaps)
     if causes:
         handles = [Patch(color=_colour(cause, causes), label=cause) for cause in list(causes)[:6]]
-        above.legend(handles=handles, loc="upper left", fontsize=LABEL_PT, ncols=len(handles), frameon=True)
+        above.legend(handles=handles, loc="upper left", fontsize=label_pt(), ncols=len(handles), frameon=True)
     facts = (("scenario", why.scenario), ("seed", str(why.seed)), ("digest", log.digest))
     save_as(figure, path, Provenance(f"Why {why.check} failed", facts))
 
@@ -71,7 +74,7 @@ def _draw_gaps(ax: Axes, why: Why, links: list[str]) -> None:
             if link in rows:
                 ax.plot([gap.from_s, gap.to_s], [rows[link]] * 2, color=_colour(gap.cause, causes), linewidth=4.0,
                         solid_capstyle="projecting", zorder=2)  # fmt: skip
-    ax.set_yticks(list(rows.values()), [link_name(link, why) for link in rows], fontsize=LABEL_PT)
+    ax.set_yticks(list(rows.values()), [link_name(link, why) for link in rows], fontsize=label_pt())
     ax.set_ylim(-0.8, len(links) + 0.9)
     ax.set_ylabel("silent links" if links else "no link was silent")
 
@@ -87,7 +90,7 @@ def _lanes(ax: Axes, series: Mapping[int, tuple[Array, Array]]) -> None:
         ax.fill_between(t, k, k + 0.7 * shown, step="post", color=colour, alpha=0.4, linewidth=0, gid=f"lane-{vehicle}")
         ax.plot(t, k + 0.7 * shown, color=colour, linewidth=THIN, drawstyle="steps-post", gid=f"step-{vehicle}")
     ax.set_yticks(
-        [k + 0.35 for k in range(len(series))], [f"vehicle {i}" for i in reversed([*series])], fontsize=LABEL_PT
+        [k + 0.35 for k in range(len(series))], [f"vehicle {i}" for i in reversed([*series])], fontsize=label_pt()
     )
     ax.set_ylim(-0.2, len(series))
     ax.grid(axis="y", visible=False)

@@ -292,11 +292,13 @@ def draw(found: WhatIf, path: Path, digest: str) -> None:
     """Write the picture, as wide as a column. `digest`: of the log that the agent heard. Raises FleetError if the file
     cannot be written, or its suffix is none of a picture.
     """
+    from fleet.addons.pictures.caption import write_caption
+    from fleet.addons.pictures.look import column_in
     from fleet.addons.pictures.shades import shade
-    from fleet.addons.pictures.style import COLUMN_IN, Provenance, format_of, legend, limit, line, panels, save_as
+    from fleet.addons.pictures.style import Provenance, format_of, legend, limit, line, panels, save_as
 
     format_of(path)  # before the work
-    figure, axes = panels(3, 1, COLUMN_IN, 4.6)
+    figure, axes = panels(3, 1, column_in(), 4.6)
     for k, (ax, (name, unit)) in enumerate(zip(axes, COMPONENTS, strict=True)):
         line(ax, 0, found.t, found.recorded[:, k], f"agent {found.agent} of {found.scenario.name}, recorded")
         line(ax, 1, found.t, found.found[:, k], "what if, open loop")
@@ -310,7 +312,8 @@ def draw(found: WhatIf, path: Path, digest: str) -> None:
         ax.set_ylabel(f"{name} [{unit}]")
     axes[0].set_xlim(float(found.t[0]), float(found.t[-1]))
     numbered = shade(axes, [FaultInterval(*fault) for fault in timeline(found.scenario)])
-    axes[-1].set_xlabel("\n".join(["time [s]", *numbered]))
+    axes[-1].set_xlabel("time [s]")
     legend(figure, axes[0], 1)
+    write_caption(figure, numbered)
     facts = (("scenario", found.scenario.name), ("seed", str(found.scenario.seed)), ("digest", digest))
     save_as(figure, path, Provenance(f"What if: agent {found.agent}", facts))

@@ -14,17 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.addons.pictures.axes import marks_legend
-from fleet.addons.pictures.style import (
-    COLUMN_IN,
-    LABEL_PT,
-    LEGEND_PT,
-    NORMAL,
-    PAGE_IN,
-    STYLES,
-    Provenance,
-    panels,
-    save,
-)
+from fleet.addons.pictures.look import column_in, label_pt, legend_pt, page_in
+from fleet.addons.pictures.style import NORMAL, STYLES, Provenance, panels, save
 from fleet.addons.studies.borders import Border, Borders, Run, Theory
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.pictures.marks import axis_label, text
@@ -53,7 +44,7 @@ def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
     varied = [axis for axis in per if len({one.border.values[axis.key] for one in every}) > 1]
     across = next((axis for axis in varied if axis.unit is not None), None)
     figure = _below_each_other(borders, every, varied) if across is None else _across(borders, every, varied, across)
-    figure.suptitle(fill(text(borders.title, 120), round(figure.get_figwidth() * 17)), fontsize=LEGEND_PT + 1)
+    figure.suptitle(fill(text(borders.title, 120), round(figure.get_figwidth() * 17)), fontsize=legend_pt() + 1)
     return figure
 
 
@@ -75,7 +66,7 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
     rows = _kinds(every, outer[1:])
     if len(rows) * len(columns) > MOST_PANELS:
         raise StudyError(f"these are {len(rows) * len(columns)} panels, and a picture has {MOST_PANELS} at most")
-    width = PAGE_IN if len(columns) > 1 else COLUMN_IN
+    width = page_in() if len(columns) > 1 else column_in()
     figure, axes = panels(len(rows), len(columns), width, 2.3 * len(rows) + 0.9)
     values = sorted({float(one.border.values[across.key]) for one in every})
     kinds = _kinds(every, [] if lines is across else [lines])
@@ -98,7 +89,7 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
         ax.set_xticks(range(len(values)), [f"{value:g}" for value in values])
         ax.set_ylim(*_limits(borders))
         title = ", ".join(filter(None, (_words(borders, columns[column]), _words(borders, rows[row]))))
-        ax.set_title("\n".join(filter(None, (title, _shunting(here)))), fontsize=LABEL_PT + 1)
+        ax.set_title("\n".join(filter(None, (title, _shunting(here)))), fontsize=label_pt() + 1)
         if row == len(rows) - 1:
             ax.set_xlabel(axis_label(across))
         if column == 0:
@@ -134,7 +125,7 @@ def _line(
 def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> Figure:
     if len(every) > MOST_ROWS:
         raise StudyError(f"these are {len(every)} borders, and a picture has {MOST_ROWS} below each other at most")
-    figure, (ax,) = panels(1, 1, COLUMN_IN, 0.45 * len(every) + 1.5)
+    figure, (ax,) = panels(1, 1, column_in(), 0.45 * len(every) + 1.5)
     bottom, top = borders.places[0], borders.places[-1]
     for row, one in enumerate(every):
         low, high = max(bottom, min(one.border.low, top)), min(top, max(one.border.high, bottom))

@@ -18,18 +18,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator, ScalarFormatter
 
+from fleet.addons.pictures.caption import text_width_pt
+from fleet.addons.pictures.look import column_in, label_pt, page_in, text_pt
 from fleet.addons.pictures.runs import NothingToDraw
-from fleet.addons.pictures.shades import text_width_pt
-from fleet.addons.pictures.style import (
-    COLUMN_IN,
-    LABEL_PT,
-    PAGE_IN,
-    STYLES,
-    TEXT_PT,
-    limit,
-    panels,
-    plain_decades,
-)
+from fleet.addons.pictures.style import STYLES, limit, panels, plain_decades
 from fleet.addons.studies.measures import more_is_better
 from fleet.addons.studies.pictures.marks import (
     BAND,
@@ -76,15 +68,15 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
     columns = min(2, len(shown))
     rows = -(-len(shown) // columns)
     label = axis_label(layout.dimensions[layout.axes[0]]) if layout.axes else ""
-    height = rows * max(_ROW_IN * drawn.count + 0.55, text_width_pt(label, TEXT_PT) / 72.0 + 0.1) + 0.3
-    figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, height, share=False)
+    height = rows * max(_ROW_IN * drawn.count + 0.55, text_width_pt(label, text_pt()) / 72.0 + 0.1) + 0.3
+    figure, axes = panels(rows, columns, column_in() if columns == 1 else page_in(), height, share=False)
     for k, ax, panel in used(axes, shown):
         if quantity.kind == "difference":
             ax.axvline(0.0, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)))
         drawn.scales(ax, log_scale, lacking=drawn.panel(ax, panel))
         if k % columns == 0:
             ax.set_ylabel(label)
-    figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=TEXT_PT)
+    figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=text_pt())
     drawn.lacks.draw(lambda ax: ax.get_yaxis_transform())
     legend(figure, drawn.handles())
     return figure
@@ -150,7 +142,7 @@ def _one(ax: Axes, quantity: Quantity, cell: Cell, at: float, width: float, colo
         words = f"{sum(cell.values):.0f} of {len(cell.values)}"
         ax.annotate(
             words, (1.0, at), xycoords=ax.get_yaxis_transform(), xytext=(3.0, 0.0), textcoords="offset points",
-            va="center", fontsize=LABEL_PT, annotation_clip=False,
+            va="center", fontsize=label_pt(), annotation_clip=False,
         )  # fmt: skip
     else:
         values = np.array(cell.values)
@@ -180,7 +172,7 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
     drawn = _Curves(quantity, layout)
     columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
-    figure, axes = panels(rows, columns, COLUMN_IN if columns == 1 else PAGE_IN, 2.1 * rows + 0.2, share=False)
+    figure, axes = panels(rows, columns, column_in() if columns == 1 else page_in(), 2.1 * rows + 0.2, share=False)
     for k, ax, panel in used(axes, shown):
         if quantity.kind == "difference":
             limit(ax, 0.0)
@@ -317,7 +309,7 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
     x, y = (layout.dimensions[k] for k in layout.axes)
     columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
-    width = COLUMN_IN if columns == 1 else PAGE_IN
+    width = column_in() if columns == 1 else page_in()
     cell_pt = (width * 72.0 - _MARGIN_PT) / columns - _TICKS_PT
     cell_pt /= len(x.values)
     tables = [_table(quantity, layout, panel) for panel in shown]
@@ -420,7 +412,7 @@ def _room(tables: Tables, cell_pt: float, digits: Digits) -> int:
         estimate = cell.estimate
         strip = _HATCHED if any(cell.lack) else strip
         if not isnan(estimate.value):
-            widest[0] = max(widest[0], text_width_pt(digits.value(estimate), LABEL_PT))
+            widest[0] = max(widest[0], text_width_pt(digits.value(estimate), label_pt()))
         if not isnan(estimate.low):
             widest[1] = max(widest[1], text_width_pt(digits.interval(estimate), _SMALL_PT))
     return 0 if widest[0] > cell_pt - 2.0 else 1 if widest[1] > (1.0 - strip) * cell_pt - 2.0 else 2
@@ -432,7 +424,7 @@ def _words(ax: Axes, at: tuple[int, int], cell: Cell, digits: Digits, bold: bool
         return
     certain = bold and (estimate.low > 0.0 or estimate.high < 0.0)
     both = fits == 2 and not isnan(estimate.low)
-    lines = [(0.18 if both else 0.0, digits.value(estimate), LABEL_PT, "bold" if certain else "normal")]
+    lines = [(0.18 if both else 0.0, digits.value(estimate), label_pt(), "bold" if certain else "normal")]
     if both:
         lines.append((-0.2, digits.interval(estimate), _SMALL_PT, "normal"))
     dark = isfinite(estimate.value) and 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2] < 0.5

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.transforms import Transform
 
-from fleet.addons.pictures.style import LEGEND_PT
+from fleet.addons.pictures.look import legend_pt
 from fleet.addons.studies.pictures.points import (
     Cell,
     Key,
@@ -170,11 +170,11 @@ def legend(figure: Figure, handles: Sequence[Artist]) -> None:
     """One legend above everything, in as many columns as fit; the figure gets higher by it."""
     if handles:
         longest = max(len(str(handle.get_label())) for handle in handles)
-        columns = max(1, int(figure.get_figwidth() * 72.0 / (LEGEND_PT * (0.52 * longest + 4.5))))
+        columns = max(1, int(figure.get_figwidth() * 72.0 / (legend_pt() * (0.52 * longest + 4.5))))
         columns = min(columns, len(handles))
         figure.legend(handles=list(handles), loc="outside upper center", ncols=columns)
         rows = -(-len(handles) // columns)
-        figure.set_figheight(figure.get_figheight() + (1.3 * rows + 1.0) * LEGEND_PT / 72.0)
+        figure.set_figheight(figure.get_figheight() + (1.3 * rows + 1.0) * legend_pt() / 72.0)
 
 
 def logarithmic(values: Iterable[float]) -> bool:

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from small_scenario import small_file as small_file
 from study_engine import Drawn
 
-from fleet.addons.pictures.style import COLUMN_IN
+from fleet.addons.pictures.look import COLUMN_IN
 from fleet.addons.studies.borders import Borders, Theory, find_borders, parse_along, prepare_borders
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.pictures.border import PASSED, _stacked, draw_borders, write_borders

@@ -13,7 +13,7 @@ from made_up_study import CONTROLLER, DELAY, EXTRAPOLATE, LOSS, made_up, usual, 
 from marks import slow
 from matplotlib.figure import Figure
 
-from fleet.addons.pictures.style import COLUMN_IN, PAGE_IN
+from fleet.addons.pictures.look import COLUMN_IN, PAGE_IN
 from fleet.addons.studies.measures import more_is_better
 from fleet.addons.studies.pictures.gallery import draw, write
 from fleet.addons.studies.pictures.marks import REASONS

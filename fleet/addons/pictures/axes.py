@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Annotation
 
-from fleet.addons.pictures.caption import write_caption
+from fleet.addons.pictures.caption import text_width_pt, write_caption
 from fleet.addons.pictures.look import column_in, label_pt, legend_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.addons.pictures.shades import MOST_CHARACTERS, shade, words
@@ -223,6 +223,7 @@ def _seen(values: Array, log: bool) -> Array:
 
 
 MOST_NAMED = len(COLOURS)  # lines that a legend names; more vehicles are a band
+_MOST_LINES = 12  # of several runs that have the colours of vehicles
 FEW = 60  # samples that are shown as points too
 
 _RUN = 18  # characters of a run behind a fault
@@ -276,7 +277,7 @@ def draw_lines(
     `log`: the signals are errors on a logarithmic axis, on which outliers are chosen. `exact`: the line goes through
     every sample, also if a signal oscillates too fast to be seen. Raises NothingToDraw if no vehicle has it.
     """
-    by_run = len(runs) > 1
+    by_run, own = len(runs) > 1, colours_of_vehicles(runs, view)
     each = [[_series(run, view, get) for _, get in panel] for run in runs]
     if not any(signals for found in each for signals in found):
         if not any(run.vehicles(view) for run in runs):
@@ -292,9 +293,8 @@ def draw_lines(
         if len(vehicles) > MOST_NAMED:
             styles, entries = _draw_bands([ax for ax, _ in panel], found, of_run, log, name=not by_run)
         elif by_run:
-            styles = {i: of_run | {"linewidth": THIN} for i in reported}
+            styles = {i: of_run | {"linewidth": THIN} | ({"color": own[i]} if own else {}) for i in reported}
         else:
-            own = vehicle_colours(vehicles)
             styles = {i: {"color": own[i], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
             entries = [Line2D([], [], label=run.vehicle_label(i), **one) for i, one in styles.items()]
         for (ax, _), signals in zip(panel, found, strict=True):
@@ -306,7 +306,7 @@ def draw_lines(
     if too_fast:
         notes.append("shading: range of a fast oscillation; line: its mean")
     if by_run:
-        _legend_of_runs(figure, runs)
+        marks_legend(figure, entries_of_runs(runs, own))
     elif len(entries) > 1:
         marks_legend(figure, entries)
     return notes
@@ -327,10 +327,25 @@ def _draw_bands(
     return _outlier_styles(named), band_legend(len(reported), named)
 
 
-def _legend_of_runs(figure: Figure, runs: Sequence[Run]) -> None:
-    """Each run by its colour, and by its dashes in words: what a dash means is not seen in a short sample of it."""
+def colours_of_vehicles(runs: Sequence[Run], view: View) -> dict[int, str]:
+    """The colour of each vehicle. Empty: there are too many lines; then those of several runs have the run's colour."""
+    vehicles = sorted({i for run in runs for i in run.vehicles(view)})
+    most = MOST_NAMED if len(runs) == 1 else min(MOST_NAMED, _MOST_LINES // len(runs))
+    return vehicle_colours(vehicles) if len(vehicles) <= most else {}
+
+
+def entries_of_runs(runs: Sequence[Run], colours: Mapping[int, str]) -> list[Artist]:
+    """Entries of a legend: each vehicle by its colour, and each run by its dashes. A word names the dashes, because a
+    short sample of them shows little.
+    """
+    labels = {i: next(run.vehicle_label(i) for run in runs if i in run.log.vehicles) for i in colours}
+    of_vehicles = [Line2D([], [], color=colour, label=labels[i]) for i, colour in colours.items()]
     looks = zip(runs, cycle(STYLE_NAMES), cycle(COLOURS), cycle(STYLES), strict=False)
-    legend_of(figure, [(f"{name}: {run.label}", colour, style) for run, name, colour, style in looks])
+    of_runs = [
+        Line2D([], [], color="black" if colours else colour, linestyle=style, label=f"{name}: {run.label}")
+        for run, name, colour, style in looks
+    ]
+    return [*(of_vehicles if len(of_vehicles) > 1 else []), *of_runs]
 
 
 def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, style: dict[str, Any]) -> bool:
@@ -372,7 +387,8 @@ def legend_of(figure: Figure, entries: Sequence[tuple[str, Any, Any]]) -> None:
 
 def marks_legend(figure: Figure, handles: Sequence[Artist], *, below: bool = False) -> None:
     """One legend above all axes, or below them, in as few rows as fit."""
-    widths = [22.0 + 4.1 * len(str(handle.get_label())) for handle in handles]  # pt
+    size = legend_pt()
+    widths = [4.0 * size + text_width_pt(str(handle.get_label()), size) for handle in handles]  # pt
 
     def needed(columns: int) -> float:
         rows = -(-len(widths) // columns)  # a legend is filled column by column
@@ -381,10 +397,12 @@ def marks_legend(figure: Figure, handles: Sequence[Artist], *, below: bool = Fal
     fitting = next((n for n in range(len(widths), 1, -1) if needed(n) <= 72.0 * figure.get_figwidth()), 1)
     fitting = -(-len(widths) // -(-len(widths) // fitting))  # rows of about the same length
     _grow(figure, legend_pt() * (-(-len(widths) // fitting) - 1))
-    figure.legend(
+    found = figure.legend(
         handles=list(handles), loc="outside lower center" if below else "outside upper center", ncols=fitting,
         columnspacing=1.0, handlelength=1.8, handletextpad=0.5,
     )  # fmt: skip
+    for text in found.get_texts():
+        text.set_parse_math(False)  # names of strangers
 
 
 def _grow(figure: Figure, points: float) -> None:

@@ -297,7 +297,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     for ax, (run, links), table in zip(axes[1:], tables, peaks, strict=True):
         which = ""
         if len(runs) > 1:
-            ax.set_title(run.label, loc="left", fontsize=label_pt())
+            ax.set_title(run.label, loc="left", fontsize=label_pt(), parse_math=False)
         if len(links) > _MOST_LINKS:
             which = f"the {_MOST_NAMED} oldest of {len(links)}"
             order = np.argsort(-np.nan_to_num(np.nanmean(table, axis=1)), kind="stable")[:_MOST_NAMED]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -10,8 +11,10 @@ from matplotlib.figure import Figure
 
 from fleet.addons.pictures import any_signal, channel, exchange, track
 from fleet.addons.pictures.answer_times import on_wall_clock, punctuality
+from fleet.addons.pictures.labels import named
+from fleet.addons.pictures.look import looking, parse_look
 from fleet.addons.pictures.packet_shares import timeline
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, load, origin
+from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view, load, origin
 from fleet.addons.pictures.style import (
     Drawn,
     figures,
@@ -19,9 +22,10 @@ from fleet.addons.pictures.style import (
     words_of,
 )
 from fleet.addons.pictures.time_series import consensus, formation, inputs
+from fleet.addons.pictures.verbs.choice import PictureChoice, drawn_alike
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log
-from fleet.logs.reader import OnProgress, log_path
+from fleet.logs.reader import OnProgress
 from fleet.logs.topic import TooLargeError
 from fleet.notebook import Pictures
 from fleet.scenario.sections.signals import parse_name
@@ -141,8 +145,15 @@ def plot(
     *,
     out: str | Path | None = None,
     format: str | Sequence[str] = "png",
+    compare: str | Path | Sequence[str | Path] = (),
+    labels: Mapping[str, str] | Sequence[str] = (),
+    window: tuple[float, float] | None = None,
+    vehicles: Sequence[int] | None = None,
+    linear: bool | None = None,
+    caption: bool = True,
+    style: str = "",
 ) -> Pictures:
-    """Draw pictures of a log, as `fleet plot` does.
+    """Draw pictures of a log or of a study, as `fleet plot` does.
 
     Example:
         >>> figure = fleet.plot("runs/latest", "error")["error"]
@@ -150,29 +161,47 @@ def plot(
         >>> figure.savefig("error.pdf")
 
     Args:
-        log: an MCAP file, a run directory, or a log that is open.
+        log: an MCAP file, a run directory, or a log that is open; or the directory of a study.
         what: as `--what`: `track`, `error`, `inputs` or another word, or signals such as `state.z`, as a list or with
-            commas between them. Empty: all that the log has data for.
+            commas between them. Of a study its measures. Empty: all that there are data for.
         out: the folder into which they are written as well; None: no file is written.
         format: of the files: `png`, `svg`, `pdf`, or several of them.
+        compare: other runs, or other studies, on the same axes.
+        labels: the names in legends, in the order of the logs, or by their directories. By default what differs.
+        window: only this time, from and to [s]; None: the whole run.
+        vehicles: only these; None: all.
+        linear: True: all axes are linear; False: errors, other signals and ages are logarithmic; None: errors are.
+        caption: whether the words below a picture are in it. `figure.get_label()` has them in any case.
+        style: font, size and width of a column, such as `font=serif,size=9pt,width=88mm`.
 
     Returns:
         The figures by name. A notebook shows them.
 
     Raises:
-        LogReadError: the log cannot be read.
-        FleetError: there is no such picture or signal, it has no data, or the folder cannot be written.
+        LogReadError: a log cannot be read.
+        FleetError: there is no such picture, signal, vehicle or font, it has no data, the logs are not alike, or the
+            folder cannot be written.
     """
-    path = log.path if isinstance(log, Log) else log_path(Path(log))
-    words = words_of(what)
+    look = replace(parse_look(style), caption=caption)
+    others = [compare] if isinstance(compare, (str, Path)) else compare
+    paths = [log.path if isinstance(log, Log) else Path(log), *map(Path, others)]
+    words, formats, folder = words_of(what), words_of(format), None if out is None else Path(out)
+    log_scale = None if linear is None else not linear
+    if (other := drawn_alike(paths)) is not None:
+        shown = PictureChoice(measures=tuple(words), log_scale=log_scale)
+        with looking(look):
+            return Pictures(other.figures(paths, folder, shown, formats, named(paths, labels)))
     single = [name for pictures in WHAT.values() for name, *_ in pictures]
     if strange := [word for word in words if word not in (*WHAT, *single) and parse_name(word) is None]:
         raise FleetError(f"there is no picture {strange[0]!r}; expected some of {', '.join(WHAT)}, or a signal")
-    runs = load([path])
+    runs = load(paths, labels=labels)
+    view = View(None if vehicles is None else tuple(vehicles), log_scale, window)
+    check_view(runs, view)
     check_signals(words, runs)
     said: list[str] = []
-    drawn = _with_origins(_each(words or list(WHAT), runs, View(), lambda _: None))
-    found = figures(drawn, None if out is None else Path(out), words_of(format), said.append)
+    with looking(look):
+        drawn = _with_origins(_each(words or list(WHAT), runs, view, lambda _: None))
+        found = figures(drawn, folder, formats, said.append)
     if words and said:
         raise FleetError("; ".join(said))
     return Pictures(found)

@@ -81,7 +81,7 @@ def looking(look: Look) -> Iterator[None]:
         _wanted.reset(before)
 
 
-def _settings(look: Look) -> dict[str, Any]:
+def _settings(look: Look) -> Any:
     if look == Look():
         return {}
     sizes = {"font.size": text_pt(), "axes.titlesize": text_pt(), "axes.labelsize": text_pt()}
@@ -89,7 +89,11 @@ def _settings(look: Look) -> dict[str, Any]:
     if not look.font:
         return sizes
     with_serifs = look.font == "serif" or "times" in look.font.lower() or "serif" in look.font.lower().split()
-    return sizes | {"font.family": look.font, "mathtext.fontset": "stix" if with_serifs else "dejavusans"}
+    # What the font does not have, such as a cross, comes from the usual one.
+    return sizes | {
+        "font.family": [look.font, "DejaVu Sans"],
+        "mathtext.fontset": "stix" if with_serifs else "dejavusans",
+    }
 
 
 def parse_look(text: str) -> Look:
@@ -99,7 +103,7 @@ def parse_look(text: str) -> Look:
         key, equals, value = (word.strip() for word in part.partition("="))
         if not equals or key not in _KEYS or not value:
             hint = nearest(key, _KEYS) or "there are font, size and width"
-            raise FleetError(f"style: {printable(part)!r} is unknown; {hint}, as in font=serif,size=9pt,width=88mm")
+            raise FleetError(f"style: {printable(part)!r} is unknown; {hint}; write font=serif,size=9pt,width=88mm")
         if key == "font":
             look = replace(look, font=_font(value))
         elif key == "size":
@@ -128,5 +132,5 @@ def _length(key: str, text: str, unit: str, limits: tuple[float, ...]) -> float:
     inches = float(found[1]) / _IN[found[2] or unit] if found is not None else 0.0
     if not least <= inches <= most:
         span = f"{least * _IN[unit]:g} to {most * _IN[unit]:g} {unit}"
-        raise FleetError(f"style: {key} expected {span}, also in mm, cm, in or pt, got {printable(text)!r}")
+        raise FleetError(f"style: {key}: expected {span}, in mm, cm, in or pt, got {printable(text)!r}")
     return inches

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
@@ -13,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from fleet.addons.pictures.labels import distinct, labels_of, named
 from fleet.addons.pictures.style import Provenance
 from fleet.errors import FleetError
 from fleet.logs.open_log import MOST_HELD, Log, Opening
 from fleet.logs.reader import check_readable
 from fleet.logs.records import Array
-from fleet.logs.run_name import run_name
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
@@ -132,31 +131,20 @@ class Run:
 
 
 def load(
-    paths: Sequence[Path], share: Callable[[float], None] = lambda _: None, most_held: int = MOST_HELD
+    paths: Sequence[Path],
+    share: Callable[[float], None] = lambda _: None,
+    most_held: int = MOST_HELD,
+    labels: Mapping[str, str] | Sequence[str] = (),
 ) -> list[Run]:
-    """Read logs; each is called after its scenario, its seed where those are equal, or else its directory. Of each at
-    most `most_held` bytes are held at once. Raises LogReadError if one of them cannot be read.
+    """Read logs, each with a name: `labels` as in `named`, the others as in `labels_of`. Of each at most `most_held`
+    bytes are held at once. Raises LogReadError if one of them cannot be read; FleetError: a label is of none of them.
     """
+    given = named(paths, labels)
     check_readable(paths)
     # Poses are states in another form.
     logs = [Opening(path, _WANTED, share, drawn=_DRAWN, most_held=most_held).read() for path in paths]
-    seen: Counter[str] = Counter()
-    runs = []
-    for label, log in zip(labels_of(logs), logs, strict=True):
-        seen[label] += 1
-        runs.append(Run(log, label if seen[label] == 1 else f"{label} ({seen[label]})"))
-    return runs
-
-
-def labels_of(logs: Sequence[Log]) -> list[str]:
-    """The name of each log in a legend, see `load`."""
-    names = [log.run.get("scenario", "") or log.path.stem for log in logs]
-    seeds = [f"{name}, seed {log.run.get('seed', '?')}" for name, log in zip(names, logs, strict=True)]
-    often = Counter([*names, *seeds])
-    return [
-        next((label for label in called if often[label] == 1), run_name(log.path))
-        for *called, log in zip(names, seeds, logs, strict=True)
-    ]
+    names = [own or found for own, found in zip(given, labels_of(logs), strict=True)]
+    return [Run(log, label) for log, label in zip(logs, distinct(names), strict=True)]
 
 
 _WANTED = [*(f"uuv/*/{group}" for group in GROUPS), "faults", "link/*"]

@@ -107,6 +107,7 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
         ax.annotate(
             text, (_left(fault, width, first, last), 1.0), xycoords=("data", "axes fraction"), xytext=(0, above + 1.0),
             textcoords="offset points", fontsize=label_pt(), color=_NAME, annotation_clip=False, gid="fault-name",
+            parse_math=False,
         )  # fmt: skip
         raised = ScaledTranslation(0.0, above / 72.0, _figure(ax).dpi_scale_trans)
         extent = [max(fault.begin, first), min(fault.end, last)]

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from fleet.addons.pictures.look import LEGEND_PT, TEXT_PT, page_in
+from fleet.addons.pictures.caption import caption_of
+from fleet.addons.pictures.look import LEGEND_PT, TEXT_PT, page_in, wanted
 from fleet.errors import FleetError
 from fleet.palette import COLOURS
 from netem.whole_file import whole_file
@@ -25,6 +26,7 @@ STYLE_NAMES = ("solid", "dashed", "dash-dot", "dotted", "dash-dot-dot", "densely
 DPI = 300
 THIN, NORMAL, HEAVY = 0.7, 1.0, 3.0  # widths of lines [pt]: limits and many lines; few lines; what stands out
 HALO = (withStroke(linewidth=1.5, foreground="white"),)  # of words on lines: a box would hide data
+CAPTIONS = "captions.txt"  # what the pictures of a folder would say below themselves
 FORMATS = ("png", "svg", "pdf")
 _MOST_PLAIN = 4.0  # decades
 
@@ -163,6 +165,7 @@ def save_all(
     each that is not drawn. Raises FleetError: the folder cannot be written.
     """
     paths: list[Path] = []
+    captions: list[str] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, figure, origin in drawn:
@@ -170,6 +173,11 @@ def save_all(
                 tell(f"{name}: not drawn: {figure}")
             else:
                 paths += save(figure, folder / name, formats, origin())
+                captions.append(f"{name}: {origin().title}\n{caption_of(figure)}\n")
+        if captions and not wanted().caption:
+            paths.append(folder / CAPTIONS)
+            with whole_file(paths[-1]) as part:
+                part.write_text("\n".join(captions), "utf-8")
     except OSError as error:
         raise FleetError(
             f"cannot write pictures to {folder}: {error.strerror}; choose another place with -o DIR"

@@ -19,12 +19,20 @@ from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from fleet.addons.pictures.axes import MOST_NAMED, marks_legend, outliers, spread, vehicle_colours
+from fleet.addons.pictures.axes import (
+    MOST_NAMED,
+    colours_of_vehicles,
+    entries_of_runs,
+    marks_legend,
+    outliers,
+    spread,
+    vehicle_colours,
+)
 from fleet.addons.pictures.beliefs import beliefs
 from fleet.addons.pictures.caption import write_caption
 from fleet.addons.pictures.look import column_in, label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
-from fleet.addons.pictures.style import NORMAL, STYLE_NAMES, STYLES, THIN
+from fleet.addons.pictures.style import NORMAL, STYLES, THIN
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
@@ -173,6 +181,7 @@ SHAPES = 5  # moments at which the formation is drawn
 GREY = "0.6"
 CROWD = 40  # with more vehicles than this only the named ones are numbered and have marks
 _MOST_EDGES = 60  # of the graph that are drawn as the formation's shape
+_BESIDE = 20  # characters of an entry of the legend, at most, if it stands beside the tracks
 _TALL = 1.3  # times as high as wide: then the legend stands beside the tracks
 _EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100)
 _MARK = 3.5  # pt
@@ -220,9 +229,17 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     entries += _explained(happened, runs, standing, linked=bool(edges), flat=True)
     entries += BELIEF_ENTRIES if ways else []
     _finish(figure, runs, [one for one, _ in happened], [])
+    tall &= max(len(str(entry.get_label())) for entry in entries) <= _BESIDE
     if tall:
-        figure.legend(handles=entries, loc="outside right upper", handlelength=1.8)
-    else:
+        legend = figure.legend(handles=entries, loc="outside right upper", handlelength=1.8)
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+        figure.draw_without_rendering()
+        tall = figure.get_tightbbox().x0 >= 0.0
+        if not tall:  # no room is left for the tracks
+            legend.remove()
+            figure.legends.clear()
+    if not tall:
         marks_legend(figure, entries)
     return figure
 
@@ -420,21 +437,16 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[A
         raise NothingToDraw("the log has no state of a vehicle in that time")
     shown = sorted({track.vehicle for track in found})
     if len(runs) > 1:
-        look: dict[str, tuple[str, Any]] = {
-            run.label: (COLOURS[r % len(COLOURS)], STYLES[r % len(STYLES)]) for r, run in enumerate(runs)
-        }
-        names = [STYLE_NAMES[r % len(STYLES)] for r in range(len(runs))]
-        entries = [
-            Line2D([], [], color=colour, linestyle=style, label=f"{name}: {label}")
-            for name, (label, (colour, style)) in zip(names, look.items(), strict=True)
-        ]
-        return [t._replace(colour=look[t.run.label][0], style=look[t.run.label][1]) for t in found], list(entries)
+        own = colours_of_vehicles(runs, view)
+        look = {id(run): (COLOURS[r % len(COLOURS)], STYLES[r % len(STYLES)]) for r, run in enumerate(runs)}
+        drawn = [t._replace(colour=own.get(t.vehicle, look[id(t.run)][0]), style=look[id(t.run)][1]) for t in found]
+        return drawn, entries_of_runs(runs, own)
     named = shown if len(shown) <= MOST_NAMED else _worst(runs[0], shown)
     of = vehicle_colours(named)
-    entries = [Line2D([], [], color=colour, label=runs[0].vehicle_label(i)) for i, colour in of.items()]
+    entries: list[Artist] = [Line2D([], [], color=colour, label=runs[0].vehicle_label(i)) for i, colour in of.items()]
     if len(named) < len(shown):
         entries.append(Line2D([], [], color=GREY, linewidth=THIN, label=f"{len(shown) - len(named)} others"))
-    return [track._replace(colour=of.get(track.vehicle, GREY)) for track in found], list(entries)
+    return [track._replace(colour=of.get(track.vehicle, GREY)) for track in found], entries
 
 
 def _worst(run: Run, shown: Sequence[int]) -> list[int]:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fleet.addons.pictures.verbs.choice import DrawnData, PictureChoice
-from fleet.errors import FleetError
+from fleet.errors import FleetError, printable
 from fleet.terminal.progress import showing
 from fleet.terminal.width import say
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from fleet.addons.studies.store import Store
 
 
@@ -24,9 +27,38 @@ class StudyData(DrawnData):
         """Whether it is one."""
         return (path / "study.json").is_file()
 
-    def plot(self, path: Path, out: Path | None, shown: PictureChoice, formats: Sequence[str]) -> Sequence[Path]:
-        """Draw it. Raises StudyError: it is damaged, or there is no such measure; FleetError: the place is none."""
-        return plot_study(path, out, shown.measures, formats, shown.log_scale)
+    def plot(
+        self,
+        paths: Sequence[Path],
+        out: Path | None,
+        shown: PictureChoice,
+        formats: Sequence[str],
+        labels: Sequence[str | None],
+    ) -> Sequence[Path]:
+        """Draw it, or several on the same axes. Raises StudyError: one is damaged, they vary other things, or there is
+        no such measure; FleetError: the place is none."""
+        from fleet.addons.studies.pictures.gallery import write
+
+        stores, said = _open_all(paths, labels), list[str]()
+        with showing("drawing") as on_progress:
+            folder = out or paths[0] / "plots"
+            drawn = write(stores, shown.measures, folder, formats, shown.log_scale, said.append, on_progress)
+        for note in said:
+            say(f"fleet: {note}", err=True)
+        return drawn
+
+    def figures(
+        self,
+        paths: Sequence[Path],
+        out: Path | None,
+        shown: PictureChoice,
+        formats: Sequence[str],
+        labels: Sequence[str | None],
+    ) -> dict[str, Figure]:
+        """The pictures of `plot`. Raises as that does."""
+        from fleet.addons.studies.pictures.gallery import plot
+
+        return plot(_open_all(paths, labels), shown.measures, out, formats, shown.log_scale)
 
     def report(self, path: Path, out: Path, shown: PictureChoice) -> None:
         """Write the page about it. Raises as `plot`."""
@@ -37,25 +69,6 @@ class StudyData(DrawnData):
         if form == "netcdf":
             return super().export(path, folder, form, force=force)
         return export_study(path, folder, form, force=force)
-
-
-def plot_study(
-    directory: Path, out: Path | None, measures: Sequence[str], formats: Sequence[str], log_scale: bool | None
-) -> list[Path]:
-    """Draw a study; returns the files, and tells what could not be drawn.
-
-    Raises StudyError: it is damaged, there is no such measure, or the extra `study` is not installed; FleetError: the
-    place cannot be written.
-    """
-    store = _open(directory)
-    from fleet.addons.studies.pictures.gallery import write
-
-    said: list[str] = []
-    with showing("drawing") as on_progress:
-        paths = write(store, measures, out or directory / "plots", formats, log_scale, said.append, on_progress)
-    for note in said:
-        say(f"fleet: {note}", err=True)
-    return paths
 
 
 def report_study(directory: Path, out: Path, measures: Sequence[str], log_scale: bool | None) -> None:
@@ -95,6 +108,23 @@ def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Pa
     except OSError as error:
         raise FleetError(f"cannot write {path}: {error.strerror}; choose another place") from error
     return path
+
+
+def _open_all(paths: Sequence[Path], labels: Sequence[str | None]) -> dict[str, Store]:
+    """Studies by name: the given one, or what differs between their scenarios, or else the directory."""
+    from fleet.addons.pictures.labels import differences, distinct
+    from fleet.scenario.loading import parse_scenario
+
+    stores = [_open(path) for path in paths]
+    names = [store.record.scenario for store in stores]
+    if len(set(names)) < len(names):
+        names = [store.directory.resolve().name for store in stores]
+        with suppress(FleetError):  # of another version; and a study without points has no scenario
+            texts = [parse_scenario(store.points[0].scenario, store.record.scenario).to_yaml() for store in stores]
+            different = differences(texts)
+            names = different if len(set(different)) == len(names) else names
+    called = distinct([label or printable(name) for label, name in zip(labels, names, strict=True)])
+    return dict(zip(called, stores, strict=True))
 
 
 def _open(directory: Path) -> Store:

@@ -189,7 +189,8 @@ class Study:
         from fleet.addons.studies.pictures.gallery import plot
 
         measures = [measure] if isinstance(measure, str) else measure
-        return Pictures(plot(self._store, measures, None if out is None else Path(out), words_of(format)))
+        stores = {self._store.record.scenario: self._store}
+        return Pictures(plot(stores, measures, None if out is None else Path(out), words_of(format)))
 
     def rerun(self, point: int | Mapping[str, Any], seed: int, out: Path = Path("runs"), trust: bool = False) -> Result:
         """Make one of its runs again with its log; the digest is that of the row.

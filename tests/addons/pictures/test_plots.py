@@ -24,9 +24,10 @@ import fleet
 from fleet.addons.pictures import exchange
 from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.gallery import PER_RUN, WHAT, draw
+from fleet.addons.pictures.labels import labels_of
 from fleet.addons.pictures.report import _from_log, links_table, page
 from fleet.addons.pictures.report import write as write_report
-from fleet.addons.pictures.runs import Run, View, labels_of, load, with_gaps
+from fleet.addons.pictures.runs import Run, View, load, with_gaps
 from fleet.addons.pictures.style import panels, plain_decades
 from fleet.addons.pictures.verbs.choice import KINDS, PARTS
 from fleet.errors import FleetError
@@ -182,8 +183,13 @@ def test_two_runs_on_one_axis(directories: dict[str, Path]) -> None:
     both = load([directories["faulty"], directories["mixed"]])
     figure = figure_of(both, "error", "error")
     (ax,) = figure.axes
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["solid: faulty", "dashed: mixed"]
-    assert len({line.get_color() for line in lines(ax, ".*vehicle.*")}) == 2
+    # The vehicles by colour, the runs by dashes: in one colour for each run, vehicles could not be told apart.
+    named = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert named == ["UUV 1", "UUV 2", "UUV 3", "UUV 4", "solid: faulty", "dashed: mixed"]
+    for i in range(1, 5):
+        drawn = [line for run in both for line in lines(ax, f"{run.slug}-vehicle-{i}")]
+        assert len({line.get_color() for line in drawn}) == 1 and len({line.get_linestyle() for line in drawn}) == 2
+    assert len({line.get_color() for line in lines(ax, ".*vehicle.*")}) == 4
     assert [text.get_text() for text in ax.texts][:1] == ["crash: kill 2 (faulty)"]
     assert set(pictures(both, ["links", "ages"])) == {"links-faulty", "links-mixed", "ages"}
     same = load([directories["faulty"], directories["faulty"]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -17,14 +17,18 @@ from fleet.cli.types import (
     Folder,
     Words,
 )
+from fleet.errors import FleetError
 from fleet.logs.other import OtherData, other_data
 from fleet.option import Option
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 KINDS = ("track", "error", "inputs", "links", "messages", "channel", "ages", "checks", "timing")
 PARTS = ("track-3d", "formation")  # single pictures of track and error
 FORMATS = ("png", "svg", "pdf")
 OTHER_FORMATS = ("bmp", "eps", "gif", "jpeg", "jpg", "ps", "tif", "tiff", "webp")  # of pictures, which are not written
-OF_LOGS = ("what", "compare", "vehicles", "window")
+OF_LOGS = ("what", "vehicles", "window")
 OF_STUDIES = ("measures",)
 
 
@@ -62,6 +66,30 @@ class PicturesFolder(Folder):
         return folder
 
 
+class PictureLabels(click.ParamType[tuple[str, ...]]):
+    """Names with commas between them, each alone, or behind what it names: `A=old,B=new`."""
+
+    name = "names"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        if isinstance(value, tuple):
+            return value
+        names = tuple(word.strip() for word in str(value).split(","))
+        if not all(word.rpartition("=")[2].strip() for word in names):
+            self.fail(f"expected names such as old,new or A=old,B=new, got {value!r}", param, ctx)
+        if len({"=" in word for word in names}) > 1:
+            self.fail(f"expected all names alone or each behind what it names, got {value!r}", param, ctx)
+        return names
+
+
+def labels_by_name(labels: Sequence[str]) -> dict[str, str] | Sequence[str]:
+    """The same by what each names, if they say that."""
+    if not all("=" in label for label in labels):
+        return labels
+    split = [label.rpartition("=") for label in labels]
+    return {key.strip(): label.strip() for key, _, label in split}
+
+
 class PictureWords(Words):
     """Some of the given words, or signals such as `control.leads`; whether a log has such a signal is not known yet."""
 
@@ -93,21 +121,40 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
 class DrawnData(OtherData):
     """Something besides a log that `fleet plot` and `fleet report` can draw."""
 
-    def plot(self, path: Path, out: Path | None, shown: PictureChoice, formats: Sequence[str]) -> Sequence[Path]:
-        """Draw it, and tell what could not be drawn.
+    def plot(
+        self,
+        paths: Sequence[Path],
+        out: Path | None,
+        shown: PictureChoice,
+        formats: Sequence[str],
+        labels: Sequence[str | None],
+    ) -> Sequence[Path]:
+        """Draw it, or several on the same axes, and tell what could not be drawn.
 
         Args:
-            path: what the user named.
-            out: the folder for pictures; None: `plots` in or beside it.
+            paths: what the user named.
+            out: the folder for pictures; None: `plots` in or beside the first.
             shown: what they show.
             formats: some of `FORMATS`.
+            labels: how the user calls each; None: as this kind of data is called.
 
         Returns:
             The files.
 
         Raises:
-            FleetError: it cannot be read, or the place cannot be written.
+            FleetError: one cannot be read, they are not alike, or the place cannot be written.
         """
+        raise NotImplementedError
+
+    def figures(
+        self,
+        paths: Sequence[Path],
+        out: Path | None,
+        shown: PictureChoice,
+        formats: Sequence[str],
+        labels: Sequence[str | None],
+    ) -> dict[str, Figure]:
+        """The pictures of `plot` by name, for scripts: nothing is told. `out`: None: no file is written."""
         raise NotImplementedError
 
     def report(self, path: Path, out: Path, shown: PictureChoice) -> None:
@@ -119,3 +166,13 @@ def drawn_data(path: Path) -> DrawnData | None:
     """What draws something that is no log; None: nobody does."""
     found = other_data(path)
     return found if isinstance(found, DrawnData) else None
+
+
+def drawn_alike(paths: Sequence[Path]) -> DrawnData | None:
+    """What draws all of these; None: they are logs. Raises FleetError: they are not of one kind."""
+    kinds = [drawn_data(path) for path in paths]
+    if len({type(kind) for kind in kinds}) > 1:
+        one, other = (next(k for k, kind in enumerate(kinds) if (kind is None) == log) for log in (False, True))
+        name = kinds[one].name  # type: ignore[union-attr]
+        raise FleetError(f"{paths[one]} is {name}, and {paths[other]} a log: compare two of a kind")
+    return kinds[0]

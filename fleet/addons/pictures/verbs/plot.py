@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -16,9 +17,11 @@ from fleet.addons.pictures.verbs.choice import (
     PARTS,
     PictureChoice,
     PictureFormats,
+    PictureLabels,
     PicturesFolder,
     PictureWords,
-    drawn_data,
+    drawn_alike,
+    labels_by_name,
     pictures,
 )
 from fleet.cli.declare import command
@@ -41,7 +44,15 @@ def plot(
         f"Some of {', '.join(KINDS)}; or all; track-3d, formation: that part of track, of error. Also any signal of "
         "the log: control.leads, command.tau_0, '|error.e|'.")] = KINDS,
     formats: Annotated[PictureFormats, Option("Some of png, svg, pdf.", flag="--format")] = ("png",),
-    compare: Annotated[tuple[Path, ...], Option("Another run on the same axes; repeatable.", "LOG2")] = (),
+    compare: Annotated[tuple[Path, ...], Option(
+        "Another run, or another study, on the same axes; repeatable.", "LOG2")] = (),
+    labels: Annotated[tuple[str, ...], PictureLabels(), Option(
+        "The names in legends, in the order of the logs, or each by its directory: A=old,B=new. By default what "
+        "differs.", "NAMES", "--label")] = (),
+    caption: Annotated[bool, Option(
+        "The words below each picture go into captions.txt.", flag="--caption/--no-caption")] = True,
+    style: Annotated[str, Option(
+        "The font, its size and the width of a column, e.g. font=serif,size=9pt,width=88mm.", "STYLE")] = "",
     shown: PictureChoice,
     quiet: NoProgress = False,
 ) -> None:  # fmt: skip
@@ -60,12 +71,21 @@ def plot(
       fleet plot --what error,inputs --format svg,pdf --linear
       fleet plot --what messages --window 20s..22s
       fleet plot --what state.z --vehicles 1,4
-      fleet plot runs/a --compare runs/b --what error -o compared
+      fleet plot runs/a --compare runs/b --label old,new --what error -o compared
+      fleet plot --no-caption --style font=serif,width=88mm --format pdf
       fleet plot studies/rough-sea-20261122-101500 --measure e_rms_m
     """
-    if other := drawn_data(log):
+    from fleet.addons.pictures.labels import named
+    from fleet.addons.pictures.look import looking, parse_look
+
+    look = replace(parse_look(style), caption=caption)
+    paths = [log, *compare]
+    other = drawn_alike(paths)
+    called = labels_by_name(labels)
+    if other is not None:
         check_options(log, OF_LOGS, "logs")
-        _print(other.plot(log, out, shown, formats))
+        with looking(look):
+            _print(other.plot(paths, out, shown, formats, named(paths, called)))
         return
     check_options(log, OF_STUDIES, "studies")
     from fleet.addons.pictures.gallery import check_signals, write
@@ -74,16 +94,16 @@ def plot(
 
     said: list[str] = []
     with showing("reading") as on_progress:
-        runs = load([log, *compare], on_progress)
+        runs = load(paths, on_progress, labels=called)
     view = View(shown.vehicles, shown.log_scale, shown.window)
     check_view(runs, view)
     check_signals(what, runs)
-    with showing("drawing") as on_progress:
-        paths = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, on_progress)
+    with showing("drawing") as on_progress, looking(look):
+        drawn = write(what, runs, view, out or log_path(log).parent / "plots", formats, said.append, on_progress)
     cut = [f"{run.label}: {run.log.missing}" for run in runs if run.log.missing]
     for note in dict.fromkeys([*cut, *(note for run in runs for note in run.notes), *said]):
         say(f"fleet: {note}", err=True)
-    _print(paths)
+    _print(drawn)
 
 
 def _print(paths: Sequence[Path]) -> None:

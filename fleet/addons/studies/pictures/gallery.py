@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
@@ -30,6 +30,7 @@ from fleet.addons.studies.pictures.points import (
     Quantity,
     factors,
     is_share,
+    joined,
     load,
 )
 from fleet.addons.studies.store import Store
@@ -91,7 +92,7 @@ def _drawn(quantity: Quantity, log_scale: bool | None) -> Iterator[Figure]:
 
 
 def write(
-    store: Store,
+    stores: Mapping[str, Store],
     measures: Sequence[str],
     folder: Path,
     formats: Sequence[str] = ("png",),
@@ -99,22 +100,36 @@ def write(
     tell: Callable[[str], None] = lambda _: None,
     share: OnProgress = lambda _: None,
 ) -> list[Path]:
-    """Draw into a folder, which is made if need be; returns the files. `measures`: in addition to the share of runs
-    that passed; none: those of the table of `fleet sweep`. `tell`: called with a sentence about each picture that could
-    not be drawn. Raises StudyError: there is no such measure, or the study is damaged; FleetError: the folder cannot be
-    written."""
-    return save_all(_with_origins(store, measures, log_scale, share), folder, formats, tell)
+    """Draw studies into a folder, which is made if need be; returns the files. `stores`: by name. `measures`: in
+    addition to the share of runs that passed; none: those of the table of `fleet sweep`. `tell`: called with a sentence
+    about each picture that could not be drawn. Raises StudyError: there is no such measure, a study is damaged, or they
+    vary other things; FleetError: the folder cannot be written."""
+    return save_all(_with_origins(stores, measures, log_scale, share), folder, formats, tell)
 
 
-def plot(store: Store, measures: Sequence[str], folder: Path | None, formats: Sequence[str]) -> dict[str, Figure]:
+def plot(
+    stores: Mapping[str, Store],
+    measures: Sequence[str],
+    folder: Path | None,
+    formats: Sequence[str],
+    log_scale: bool | None = None,
+) -> dict[str, Figure]:
     """The figures by name, written into a folder as well, if there is one. The rest is as for `write`."""
-    return figures(_with_origins(store, measures, None, lambda _: None), folder, formats, lambda _: None)
+    return figures(_with_origins(stores, measures, log_scale, lambda _: None), folder, formats, lambda _: None)
 
 
-def _with_origins(store: Store, measures: Sequence[str], log_scale: bool | None, share: OnProgress) -> Iterator[Drawn]:
-    points, record = load(store, measures), store.record
-    axes = ", ".join(axis.key for axis in record.axes) or "none"
-    facts = ("scenario", record.scenario), ("axes", axes), ("seeds", str(len(record.seeds)))
+def _with_origins(
+    stores: Mapping[str, Store], measures: Sequence[str], log_scale: bool | None, share: OnProgress
+) -> Iterator[Drawn]:
+    each = [load(store, measures) for store in stores.values()]
+    points = each[0] if len(each) == 1 else joined(each, [*stores])
+    records = [store.record for store in stores.values()]
+    axes = ", ".join(axis.key for axis in records[0].axes) or "none"
+    facts = (
+        ("scenario", " and ".join(dict.fromkeys(record.scenario for record in records))),
+        ("axes", axes),
+        ("seeds", " and ".join(str(len(record.seeds)) for record in records)),
+    )
     return ((name, figure, partial(Provenance, title, facts)) for name, title, figure in draw(points, log_scale, share))
 
 

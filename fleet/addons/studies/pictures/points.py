@@ -93,6 +93,7 @@ class Points:
     numbers: Mapping[str, Array]  # by column: `passed` as 0 or 1, and measures
     units: Mapping[str, str]  # of the measures
     check: str = ""  # that says whether a run passed; empty: all do
+    seeds: tuple[int, ...] = ()  # of the columns
     _known: dict[str, Quantity] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -194,7 +195,49 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
         for axis, some in zip(axes, varied, strict=True)
     )
     units = {name: column.unit for name, column in columns.items()}
-    return Points(dimensions, keys, state, numbers, units, store.record.check)
+    columns_of = (*seeds, *range(-1, len(seeds) - most - 1, -1))[:most]  # a seed that is not known yet has no pair
+    return Points(dimensions, keys, state, numbers, units, store.record.check, columns_of)
+
+
+def joined(each: Sequence[Points], names: Sequence[str]) -> Points:
+    """Several studies as one, in which the first thing that is varied is the study. Runs with the same seed are pairs.
+
+    Raises StudyError: the studies vary other things, or other checks say what passed.
+    """
+    first = each[0]
+    for other, name in zip(each[1:], names[1:], strict=True):
+        axes = [[(axis.key, axis.unit) for axis in one.dimensions] for one in (first, other)]
+        if axes[0] != axes[1]:
+            shown = [", ".join(key for key, _ in axis) or "nothing" for axis in axes]
+            raise StudyError(f"{names[0]} varies {shown[0]}, and {name} varies {shown[1]}: compare studies of the same")
+        if first.check != other.check:
+            checks = [one.check or "all checks" for one in (first, other)]
+            raise StudyError(
+                f"{checks[0]} tells what passed in {names[0]}, and {checks[1]} in {name}: compare alike ones"
+            )
+    seeds = tuple(dict.fromkeys(seed for one in each for seed in one.seeds))
+    place = {seed: k for k, seed in enumerate(seeds)}
+    keys = tuple((name, *key) for one, name in zip(each, names, strict=True) for key in one.keys)
+    columns = [name for name in first.numbers if all(
+        name in one.numbers and one.units.get(name) == first.units.get(name) for one in each)]  # fmt: skip
+
+    def gathered(tables: Sequence[Array], empty: float) -> Array:
+        found: Array = np.full((len(keys), len(seeds)), empty, tables[0].dtype)
+        row = 0
+        for one, table in zip(each, tables, strict=True):
+            found[row : row + len(table), [place[seed] for seed in one.seeds]] = table
+            row += len(table)
+        return found
+
+    together: list[dict[Any, None]] = [dict.fromkeys(key[k] for key in keys) for k in range(len(keys[0]))]
+    varied = (VariedKey("study", None, ()), *first.dimensions)
+    dimensions = tuple(
+        VariedKey(axis.key, axis.unit, tuple(values if axis.unit is None else sorted(values)))
+        for axis, values in zip(varied, together, strict=True)
+    )
+    numbers = {name: gathered([one.numbers[name] for one in each], np.nan) for name in columns}
+    state = gathered([one.state for one in each], NOT_NEEDED)
+    return Points(dimensions, keys, state, numbers, first.units, first.check, seeds)
 
 
 def minus(value: Value, first: Value) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import islice, product
+from itertools import islice, pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ from marks import slow
 from matplotlib.figure import Figure
 
 from fleet.addons.pictures.look import COLUMN_IN, PAGE_IN
+from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.measures import more_is_better
-from fleet.addons.studies.pictures.gallery import draw, write
+from fleet.addons.studies.pictures.gallery import draw, plot, write
 from fleet.addons.studies.pictures.marks import REASONS
-from fleet.addons.studies.pictures.points import MADE, Points, VariedKey, load
+from fleet.addons.studies.pictures.points import MADE, Points, VariedKey, joined, load
 from fleet.addons.studies.store import Store
 from fleet.errors import FleetError
 
@@ -189,13 +190,32 @@ def test_names_are_text_and_never_formulas(tmp_path: Path) -> None:
 def test_files_are_the_same_each_time_and_say_what_they_show(tmp_path: Path) -> None:
     store = made_up(tmp_path / "s", LOSS, row=with_holes)
     said: list[str] = []
-    once, again = (write(store, ["e_rms_m"], tmp_path / name, ["png", "svg"], tell=said.append) for name in "ab")
+    once, again = (write({"s": store}, ["e_rms_m"], tmp_path / name, ["png", "svg"], tell=said.append) for name in "ab")
     assert [path.name for path in once] == ["passed.png", "passed.svg", "e_rms_m.png", "e_rms_m.svg"]
     assert [path.read_bytes() for path in once] == [path.read_bytes() for path in again]
     assert b"network.links.*.loss" in once[1].read_bytes()
     (tmp_path / "file").write_text("")
     with pytest.raises(FleetError, match="choose another place with -o DIR"):
-        write(store, [], tmp_path / "file")
+        write({"s": store}, [], tmp_path / "file")
+
+
+def test_studies_are_compared_run_by_run(tmp_path: Path) -> None:
+    """Each is a curve with its name, and runs with the same seed are pairs; the second has one seed more."""
+    first = made_up(tmp_path / "a", LOSS, row=usual, seeds=7)
+    second = made_up(tmp_path / "b", LOSS, row=lambda point, seed: usual(point, seed + 1), seeds=8)
+    found = plot({"old": first, "new": second}, ["e_rms_m"], None, ["png"])
+    assert legend_of(found["e_rms_m"])[:2] == ["old", "new"]
+    both = joined([load(store, ["e_rms_m"]) for store in (first, second)], ["old", "new"])
+    assert both.seeds == tuple(range(1, 9)) and both.dimensions[0] == VariedKey("study", None, ("old", "new"))
+    differences = both.differences(0, "e_rms_m")
+    for key, cell in differences.cells.items():
+        loss = key[1]
+        values = [usual({"network.links.*.loss": loss}, seed)["e_rms_m"] for seed in range(1, 9)]
+        assert list(cell.values) == pytest.approx([b - a for a, b in pairwise(values)])
+    assert {"compare-study-e_rms_m"} <= set(found) and differences.pair == "new - old"
+    other = made_up(tmp_path / "c", DELAY, row=usual)
+    with pytest.raises(StudyError, match=r"old varies .*loss, and other varies .*delay: compare studies of the same"):
+        plot({"old": first, "other": other}, [], None, ["png"])
 
 
 def test_a_measure_is_no_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,7 +226,7 @@ def test_a_measure_is_no_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     named = Points(few.dimensions, few.keys, few.state, numbers, dict.fromkeys(names, "m"))
     monkeypatch.setattr("fleet.addons.studies.pictures.gallery.load", lambda *_: named)
     store = made_up(tmp_path / "s", DELAY, row=usual)
-    found = write(store, [], tmp_path / "plots", ["png"])
+    found = write({"s": store}, [], tmp_path / "plots", ["png"])
     stems = ["final-uuv-3-state.z", "out-of-here", "p95-error.e", "p95-error.e-2"]
     assert found == [tmp_path / "plots" / f"{stem}.png" for stem in stems]
     assert len(list((tmp_path / "plots").iterdir())) == 4

@@ -236,9 +236,13 @@ def over_time(
 ) -> tuple[Figure, list[Axes]]:
     """Axes above each other that share the time axis, at column width."""
     figure, axes = panels(rows, 1, column_in(), height or 1.3 * rows + 0.8, ratios)
-    end = max(run.log.end for run in runs)
-    axes[0].set_xlim(*(view.window or (min(run.log.begin for run in runs), end or 1.0)))
+    axes[0].set_xlim(time_span(runs, view))
     return figure, axes
+
+
+def time_span(runs: Sequence[Run], view: View) -> tuple[float, float]:
+    """The time that is shown [s]."""
+    return view.window or (min(run.log.begin for run in runs), max(run.log.end for run in runs) or 1.0)
 
 
 def finish(
@@ -257,6 +261,9 @@ def finish(
     for ax in axes[-columns:]:
         ax.set_xlabel("time [s]")
     rows = {text.xyann[1] for text in axes[0].texts if isinstance(text, Annotation) and text.get_gid() == "fault-name"}
+    for ax in axes[:columns]:
+        if ax.get_title():
+            ax.set_title(ax.get_title(), pad=4.0 + len(rows) * (label_pt() + 3.0))
     _grow(figure, label_pt() * len(rows))
     write_caption(figure, lines)
     figure.align_ylabels(list(axes))
@@ -269,15 +276,18 @@ def draw_lines(
     view: View,
     log: bool = False,
     exact: bool = False,
+    apart: bool = False,
     **style: Any,
 ) -> list[str]:
     """Draw one line per vehicle into each panel, axes with the function that gets their signal, in the vehicle's colour
     or in the run's; many vehicles make a band. Returns words on vehicles that have no such signal.
 
     `log`: the signals are errors on a logarithmic axis, on which outliers are chosen. `exact`: the line goes through
-    every sample, also if a signal oscillates too fast to be seen. Raises NothingToDraw if no vehicle has it.
+    every sample, also if a signal oscillates too fast to be seen. `apart`: each vehicle has panels of its own, whose
+    colour is that of the run. Raises NothingToDraw if no vehicle has it.
     """
-    by_run, own = len(runs) > 1, colours_of_vehicles(runs, view)
+    by_run = len(runs) > 1
+    own = {} if apart and by_run else colours_of_vehicles(runs, view)
     each = [[_series(run, view, get) for _, get in panel] for run in runs]
     if not any(signals for found in each for signals in found):
         if not any(run.vehicles(view) for run in runs):
@@ -295,7 +305,9 @@ def draw_lines(
         elif by_run:
             styles = {i: of_run | {"linewidth": THIN} | ({"color": own[i]} if own else {}) for i in reported}
         else:
-            styles = {i: {"color": own[i], "linestyle": STYLES[k]} for k, i in enumerate(vehicles) if i in reported}
+            dashes: Sequence[Any] = ["-"] * len(vehicles) if apart else STYLES
+            styles = {i: {"color": own[i], "linestyle": dashes[k]} for k, i in enumerate(vehicles) if i in reported}
+            styles = {i: look | ({"linewidth": THIN} if apart else {}) for i, look in styles.items()}
             entries = [Line2D([], [], label=run.vehicle_label(i), **one) for i, one in styles.items()]
         for (ax, _), signals in zip(panel, found, strict=True):
             whole = 0.0 if exact else reach(signals.values(), log)
@@ -307,7 +319,7 @@ def draw_lines(
         notes.append("shading: range of a fast oscillation; line: its mean")
     if by_run:
         marks_legend(figure, entries_of_runs(runs, own))
-    elif len(entries) > 1:
+    elif len(entries) > 1 and not apart:
         marks_legend(figure, entries)
     return notes
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +19,7 @@ from fleet.addons.pictures.axes import (
     draw_lines,
     finish,
     over_time,
+    time_span,
     within,
 )
 from fleet.addons.pictures.axes import bounds as draw_bounds
@@ -26,6 +28,7 @@ from fleet.addons.pictures.runs import Run, View, with_gaps
 from fleet.addons.pictures.signal_limits import draw_limits
 from fleet.addons.pictures.style import (
     HEAVY,
+    panels,
     plain_decades,
 )
 from fleet.logs.records import Array
@@ -37,6 +40,7 @@ from fleet.scenario.sections.signals import SignalName
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
 HEAVY_SUFFIX = "-saturated"
+_ROW_IN = 0.8
 _AT_LIMIT = 1.0 - 1e-6
 
 
@@ -101,28 +105,62 @@ def _logarithmic(ax: Axes) -> None:
 
 
 def inputs(runs: Sequence[Run], view: View) -> Figure:
-    """Force and moments as applied; heavy where the commanded ones are at their limit."""
-    figure, axes = over_time(3, runs, view)
-    panel = [(ax, component("command", "applied", k)) for k, ax in enumerate(axes)]
-    notes = draw_lines(figure, panel, runs, view, drawstyle="steps-post")  # an input is held until the next
+    """Force and moments as applied; heavy where the commanded ones are at their limit. A few vehicles have a row each,
+    since their lines would hide each other.
+    """
+    vehicles = sorted({i for run in runs for i in run.vehicles(view)})
+    if not 2 <= len(vehicles) <= MOST_NAMED:
+        figure, axes = over_time(len(FORCES), runs, view)
+        places: list[_Place] = [(ax, k, vehicles) for k, ax in enumerate(axes)]
+        columns = 1
+    else:
+        columns = len(FORCES)
+        figure, axes = panels(len(vehicles), columns, height=_ROW_IN * len(vehicles) + 0.8)
+        axes[0].set_xlim(time_span(runs, view))
+        places = [(ax, n % columns, [vehicles[n // columns]]) for n, ax in enumerate(axes)]
+    panel = [(ax, _of(some, component("command", "applied", k))) for ax, k, some in places]
+    # An input is held until the next one.
+    notes = draw_lines(figure, panel, runs, view, apart=columns > 1, drawstyle="steps-post")
     saturated = False
-    for k, ax in enumerate(axes):
+    for ax, k, some in places:
         most: dict[str, float] = {}
         for run in runs:
-            for i, control in _controls(run, view):
+            for i, control in _controls(run, replace(view, vehicles=tuple(some))):
                 most[f"{run.slug}-vehicle-{i}"] = control.tau_max[k]
-                saturated |= _heavy(ax, run, view, i, k, control.tau_max[k])
+                saturated |= _heavy(ax, run, view, i, k, control.tau_max[k], HEAVY if columns > 1 else 2.0 * HEAVY)
         name, unit = FORCES[k]
-        ax.set_ylabel(f"{name} [{unit}]")
         if far := draw_bounds(ax, [(-value, value) for value in most.values()], f"limits of the {name}", unit):
             notes.append(far)
         elif most:
             _keep_inside(ax, most)
+        if columns == 1:
+            ax.set_ylabel(f"{name} [{unit}]")
+    if columns > 1:
+        _name_grid(axes, [next(run for run in runs if i in run.log.vehicles).vehicle_label(i) for i in vehicles])
     if saturated:
         many = any(len(run.vehicles(view)) > MOST_NAMED for run in runs)
         notes.append(f"heavy: {'the command of a named one' if many else 'the command'} is at a limit")
-    finish(figure, axes, runs, notes)
+    finish(figure, axes, runs, list(dict.fromkeys(notes)), columns)
     return figure
+
+
+_Place = tuple[Axes, int, Sequence[int]]  # axes, the component, and the vehicles that it shows
+
+
+def _of(vehicles: Sequence[int], get: Get) -> Get:
+    return lambda run, i: get(run, i) if i in vehicles else None
+
+
+def _name_grid(axes: Sequence[Axes], names: Sequence[str]) -> None:
+    """A vehicle for each row and a component for each column; a column has one scale."""
+    for k, (name, unit) in enumerate(FORCES):
+        column = axes[k :: len(FORCES)]
+        ends = [ax.get_ylim() for ax in column]
+        for ax in column:
+            ax.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
+        column[0].set_title(f"{name} [{unit}]")
+    for ax, name in zip(axes[:: len(FORCES)], names, strict=True):
+        ax.set_ylabel(name)
 
 
 def _keep_inside(ax: Axes, most: dict[str, float]) -> None:
@@ -146,7 +184,7 @@ def _largest(artist: Line2D | Collection) -> float:
     return float(np.nanmax(np.abs(heights), initial=0.0))
 
 
-def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float) -> bool:
+def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float, width: float) -> bool:
     found, commanded = run.series(i, "command", "applied"), run.series(i, "command", "tau")
     line = next((one for one in ax.get_lines() if one.get_gid() == f"{run.slug}-vehicle-{i}"), None)
     if found is None or commanded is None or line is None or not limit > 0.0:
@@ -160,8 +198,8 @@ def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float) -> bool
         if not heavy.any():
             continue
         ax.plot(
-            t, np.where(heavy, values, np.nan), color=line.get_color(), linewidth=2.0 * HEAVY, alpha=0.6,
-            solid_capstyle="butt", marker="|", markersize=2.0 * HEAVY, drawstyle="steps-post",
+            t, np.where(heavy, values, np.nan), color=line.get_color(), linewidth=width, alpha=0.6,
+            solid_capstyle="butt", marker="|", markersize=width, drawstyle="steps-post",
             gid=f"{run.slug}-vehicle-{i}{HEAVY_SUFFIX}",
         )  # fmt: skip
     return True

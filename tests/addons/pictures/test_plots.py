@@ -116,7 +116,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
             assert re.search(r"\[[^]]+\]|^link|^vehicle|^UUV", label), (picture, label)
         if picture != "track-3d" and name in ("faulty", "twenty"):
             width, height = figure.get_size_inches()
-            assert width == 3.5
+            assert width == (7.0 if picture == "inputs" and name == "faulty" else 3.5)  # a row for each vehicle
             box = figure.get_tightbbox()
             assert box.x0 > -0.05 and box.y0 > -0.05 and box.x1 < width + 0.05 and box.y1 < height + 0.05, picture
 
@@ -139,13 +139,18 @@ def test_faults_are_shaded_and_named_on_every_time_axis(runs: dict[str, Run]) ->
 
 def test_a_line_per_vehicle_that_breaks_where_the_agent_is_dead(runs: dict[str, Run]) -> None:
     figure = figure_of(runs["faulty"], "inputs", "inputs")
-    assert [len(lines(ax, r"faulty-vehicle-\d+")) for ax in figure.axes] == [4, 4, 4]
-    (dead,) = lines(figure.axes[0], "faulty-vehicle-2")
+    # A row for each vehicle: in one axis their lines hid each other.
+    assert [line.get_gid() for ax in figure.axes for line in lines(ax, r"faulty-vehicle-\d+")] == [
+        f"faulty-vehicle-{i}" for i in range(1, 5) for _ in range(3)
+    ]
+    assert [ax.get_title() for ax in figure.axes[:3]] == ["surge force [N]", "pitch moment [N m]", "yaw moment [N m]"]
+    assert [ax.get_ylabel() for ax in figure.axes[::3]] == [f"UUV {i}" for i in range(1, 5)]
+    (dead,) = lines(figure.axes[3], "faulty-vehicle-2")
     t, values = dead.get_xdata(), dead.get_ydata()
     assert np.isnan(values).sum() == 1
     gap = int(np.flatnonzero(np.isnan(t))[0])
     assert t[gap - 1] < 1.02 and t[gap + 1] >= 2.0
-    assert [len(lines(ax, "bound")) for ax in figure.axes] == [2, 2, 2]
+    assert [len(lines(ax, "bound")) for ax in figure.axes] == [2] * 12
     assert [line.get_ydata()[0] for line in lines(figure.axes[0], "bound")] == [-20.0, 20.0]
 
 
@@ -175,7 +180,10 @@ def test_twenty_vehicles_are_a_band_and_three_names(kind: str, runs: dict[str, R
         assert named[:3] == ["median of 20", "10 to 90 %", "all"] and len(named) == 6
     some = pictures(runs["twenty"], [kind], View(vehicles=(3, 7)))
     figure = next(iter(some.values()))
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["UUV 3", "UUV 7"]
+    if kind == "inputs":
+        assert [ax.get_ylabel() for ax in figure.axes] == ["UUV 3", "", "", "UUV 7", "", ""]
+    else:
+        assert [text.get_text() for text in figure.legends[0].get_texts()] == ["UUV 3", "UUV 7"]
     assert not figure.axes[0].collections
 
 

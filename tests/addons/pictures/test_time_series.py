@@ -62,13 +62,13 @@ def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
     figure = time_series.inputs([run], View())
     figure.set_dpi(300)
     canvas = FigureCanvasAgg(figure)
-    for ax in figure.axes:
+    for place, ax in enumerate(figure.axes):
         for line in [*lines(ax, "bound"), *lines(ax, "failed-check")]:
             line.set_visible(False)
         means = {str(some.get_gid()).removesuffix("-envelope") for some in ax.collections}  # of what is too fast
         held = [line for line in lines(ax, "paper-vehicle") if line.get_gid() not in means]
         assert held and all(line.get_drawstyle() == "steps-post" for line in held)
-        assert lines(ax, "paper-vehicle-1-saturated")
+        assert place >= 3 or lines(ax, "paper-vehicle-1-saturated")
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba())[::-1, :, :3].astype(int)
     for ax in figure.axes:
@@ -81,7 +81,7 @@ def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
             return bool((part.max(axis=2) - part.min(axis=2) > 30).any())
 
         assert not coloured(int(limit) + 2, top)
-        assert coloured(int(limit) - 6, int(limit))
+        assert ax in figure.axes[3:] or coloured(int(limit) - 6, int(limit))
 
 
 def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
@@ -115,8 +115,8 @@ def test_an_input_beyond_the_limit_is_shown(run: Run, monkeypatch: pytest.Monkey
     )  # fmt: skip
     figure = time_series.inputs([strong], View())
     figure.draw_without_rendering()
-    ax = figure.axes[1]
     for i, cut in ((1, False), (2, True)):
+        ax = figure.axes[3 * (i - 1) + 1]
         (line,) = [one for one in ax.get_lines() if one.get_gid() == f"strong-vehicle-{i}"]
         top = line.get_clip_box().transformed(ax.transData.inverted()).y1
         assert (top == pytest.approx(20.0)) == cut

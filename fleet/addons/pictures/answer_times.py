@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from fleet.addons.pictures.axes import (
     MOST_NAMED,
@@ -57,9 +56,8 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
     top.set_xlabel("answer after its tick began [ms of wall time]")
     bottom.set_xlabel("delay [ms]")
     more = [("others", GREY, "-")] if len(rows) > len(worst) else []
-    legend_of(figure, [*((f"UUV {i}", COLOURS[k], STYLES[k]) for k, i in enumerate(sorted(worst))), *more])
-    handles = [Line2D([], [], color=colour, linestyle=style, label=name) for name, colour, style, _ in shown]
-    bottom.legend(handles=handles, fontsize=label_pt(), loc="lower left")
+    vehicles = [(f"UUV {i}", COLOURS[k], STYLES[k]) for k, i in enumerate(sorted(worst))]
+    legend_of(figure, [*vehicles, *more, *((name, colour, style) for name, colour, style, _ in shown)])
     return figure
 
 

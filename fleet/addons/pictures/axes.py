@@ -397,8 +397,8 @@ def legend_of(figure: Figure, entries: Sequence[tuple[str, Any, Any]]) -> None:
     marks_legend(figure, [Line2D([], [], color=c, linestyle=style, label=label) for label, c, style in entries])
 
 
-def marks_legend(figure: Figure, handles: Sequence[Artist], *, below: bool = False) -> None:
-    """One legend above all axes, or below them, in as few rows as fit."""
+def marks_legend(figure: Figure, handles: Sequence[Artist]) -> None:
+    """One legend above all axes, in as few rows as fit."""
     size = legend_pt()
     widths = [4.0 * size + text_width_pt(str(handle.get_label()), size) for handle in handles]  # pt
 
@@ -410,7 +410,7 @@ def marks_legend(figure: Figure, handles: Sequence[Artist], *, below: bool = Fal
     fitting = -(-len(widths) // -(-len(widths) // fitting))  # rows of about the same length
     _grow(figure, legend_pt() * (-(-len(widths) // fitting) - 1))
     found = figure.legend(
-        handles=list(handles), loc="outside lower center" if below else "outside upper center", ncols=fitting,
+        handles=list(handles), loc="outside upper center", ncols=fitting,
         columnspacing=1.0, handlelength=1.8, handletextpad=0.5,
     )  # fmt: skip
     for text in found.get_texts():

@@ -13,6 +13,7 @@ from matplotlib.font_manager import FontProperties
 from fleet.addons.pictures.look import legend_pt, wanted
 
 _EDGE_PT = 4.0
+_DPI = 300.0  # fewer would round the widths of letters
 _LINE = 1.25  # times the size of the font, from line to line
 
 
@@ -59,9 +60,9 @@ def fitting(line: str, room_pt: float, size_pt: float) -> Iterator[str]:
 def text_width_pt(text: str, size: float) -> float:
     """The width of a text [pt] in the font of the pictures."""
     width, _, _ = _renderer().get_text_width_height_descent(text, FontProperties(size=size), False)
-    return float(width)
+    return float(width) * 72.0 / _DPI
 
 
 @cache
 def _renderer() -> Any:
-    return RendererAgg(1, 1, 72.0)  # type: ignore[no-untyped-call]
+    return RendererAgg(1, 1, _DPI)  # type: ignore[no-untyped-call]

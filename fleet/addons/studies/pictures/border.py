@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from textwrap import fill
 from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
@@ -14,16 +13,20 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fleet.addons.pictures.axes import marks_legend
-from fleet.addons.pictures.look import column_in, label_pt, legend_pt, page_in
+from fleet.addons.pictures.caption import write_caption
+from fleet.addons.pictures.look import column_in, page_in
 from fleet.addons.pictures.style import NORMAL, STYLES, Provenance, panels, save
 from fleet.addons.studies.borders import Border, Borders, Run, Theory
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.pictures.marks import axis_label, text
 from fleet.addons.studies.pictures.points import short_words, value_words
 from fleet.addons.studies.record import AxisRecord
+from fleet.errors import printable
 from fleet.palette import COLOURS
 
 MOST_PANELS = 16
+_MOST_WORDS = 200  # characters of a title
+_MOST_RULES = 8
 MOST_ROWS = 60  # of borders below each other
 _MARKS = "osDPXhp"  # no triangle: those point outside
 PASSED, FAILED = COLOURS[0], COLOURS[1]
@@ -44,7 +47,7 @@ def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
     varied = [axis for axis in per if len({one.border.values[axis.key] for one in every}) > 1]
     across = next((axis for axis in varied if axis.unit is not None), None)
     figure = _below_each_other(borders, every, varied) if across is None else _across(borders, every, varied, across)
-    figure.suptitle(fill(text(borders.title, 120), round(figure.get_figwidth() * 17)), fontsize=legend_pt() + 1)
+    write_caption(figure, [printable(borders.title)[:_MOST_WORDS], *_shunting(borders, every, varied)])
     return figure
 
 
@@ -84,12 +87,9 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
                 for x, one in zip(at, line, strict=True):
                     for place, away, shade in _stacked(one.runs, 4.0 / value_pt, 2.2 / value_pt, 0.45):
                         ax.plot([x + away], [borders.places[place]], ".", color=shade, markersize=3)
-                    if x % 2:  # what stands beside a value belongs to it
-                        ax.axvspan(x - 0.5, x + 0.5, color="0.95", linewidth=0, zorder=0)
         ax.set_xticks(range(len(values)), [f"{value:g}" for value in values])
         ax.set_ylim(*_limits(borders))
-        title = ", ".join(filter(None, (_words(borders, columns[column]), _words(borders, rows[row]))))
-        ax.set_title("\n".join(filter(None, (title, _shunting(here)))), fontsize=label_pt() + 1)
+        ax.set_title(", ".join(filter(None, (_words(borders, columns[column]), _words(borders, rows[row])))))
         if row == len(rows) - 1:
             ax.set_xlabel(axis_label(across))
         if column == 0:
@@ -187,15 +187,19 @@ def _legend(
     drawn = (end for one in every if (end := one.theory.reckoning) is not None)
     if any(end < len(borders.places) or not single for end in drawn):
         handles.append(Line2D([], [], color="0.3", linestyle=":", label="K τ ρ(A) = 1, τ: mean age under loss"))
-    marks_legend(figure, handles, below=True)
+    marks_legend(figure, handles)
 
 
-def _shunting(ones: Sequence[_One]) -> str:
-    """K lambda_max and a, if all of a panel have the same."""
-    rules = {one.theory.shunting for one in ones}
-    if len(rules) != 1 or (rule := rules.pop()) is None:
-        return ""
-    return f"K λ$_{{max}}$ = {rule[0]:.3g}, a = {rule[1]:g} 1/s"
+def _shunting(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> list[str]:
+    """K lambda_max and a, once if all borders have the same, and else of each."""
+    rules = [one.theory.shunting for one in every]
+    if not all(rules):
+        return []
+    said = [f"K λ_max = {rule[0]:.3g}, a = {rule[1]:g} 1/s" for rule in rules if rule is not None]
+    if len(set(said)) == 1:
+        return said[:1]
+    kinds = [_words(borders, {axis.key: one.border.values[axis.key] for axis in varied}) for one in every]
+    return [f"{kind}: {rule}" for kind, rule in zip(kinds, said, strict=True)][:_MOST_RULES]
 
 
 def _kinds(every: Sequence[_One], axes: Sequence[AxisRecord]) -> list[dict[str, float | str]]:

@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator, ScalarFormatter
 
-from fleet.addons.pictures.caption import text_width_pt
+from fleet.addons.pictures.caption import text_width_pt, write_caption
 from fleet.addons.pictures.look import column_in, label_pt, page_in, text_pt
 from fleet.addons.pictures.runs import NothingToDraw
 from fleet.addons.pictures.style import STYLES, limit, panels, plain_decades
@@ -32,7 +32,9 @@ from fleet.addons.studies.pictures.marks import (
     Panel,
     axis_label,
     columns_of,
+    estimate_words,
     few_ticks,
+    has_interval,
     interval_label,
     legend,
     logarithmic,
@@ -76,9 +78,11 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
         drawn.scales(ax, log_scale, lacking=drawn.panel(ax, panel))
         if k % columns == 0:
             ax.set_ylabel(label)
-    figure.supxlabel(quantity_label(quantity, _WORDS if columns == 1 else 2 * _WORDS), fontsize=text_pt())
+    for ax in axes[max(0, len(shown) - columns) : len(shown)]:
+        ax.set_xlabel(quantity_label(quantity, _WORDS))
     drawn.lacks.draw(lambda ax: ax.get_yaxis_transform())
     legend(figure, drawn.handles())
+    write_caption(figure, [estimate_words(quantity)])
     return figure
 
 
@@ -119,6 +123,8 @@ class _Boxes:
         elif log_scale and self._quantity.kind == "number":
             ax.set_xscale("log")
             plain_decades(ax.xaxis)
+        else:
+            ax.use_sticky_edges = False  # a box is no bar that begins at the frame
         if lacking:
             room(ax, "x", _LACK + 0.01)
 
@@ -186,6 +192,7 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
             ax.set_xlabel(axis_label(drawn.along))
     drawn.lacks.draw(lambda ax: ax.get_xaxis_transform())
     legend(figure, drawn.handles())
+    write_caption(figure, [estimate_words(quantity)])
     return figure
 
 
@@ -272,7 +279,7 @@ class _Curves:
         if self._bars:
             look = {"linestyle": "none", "marker": "|", "markersize": 7.0}
         band = Line2D([], [], color="0.5", label=interval_label(self._quantity), **look)
-        return [*lines, band, *self.lacks.handles()]
+        return [*lines, *([band] if has_interval(self._quantity) else []), *self.lacks.handles()]
 
 
 def _beside(places: Array, share: float, logs: bool) -> Array:
@@ -350,6 +357,8 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
         bar.ax.grid(False)
     lacks.draw()
     legend(figure, lacks.handles())
+    beside = "; below each number its interval" if fits == 2 else ""
+    write_caption(figure, [estimate_words(quantity) + (beside if has_interval(quantity) else "")])
     return figure
 
 

@@ -77,6 +77,25 @@ def interval_label(quantity: Quantity) -> str:
     return f"{level} interval" if level else f"no interval: fewer than {LEAST} runs"
 
 
+def estimate_words(quantity: Quantity) -> str:
+    """What a number of a picture is, of how many runs, and what its interval is."""
+    runs = sorted({len(cell.values) for cell in quantity.cells.values() if cell.values})
+    count = "" if not runs else f"n = {runs[0]}" if len(runs) == 1 else f"n = {runs[0]} to {runs[-1]}"
+    each = "pairs with the same seed" if quantity.kind == "difference" else "runs"
+    what = "share" if quantity.kind == "share" else "median"
+    kind = " (Wilson)" if quantity.kind == "share" else " (order statistics)"
+    if not count:
+        return f"{what} of {each} at each point: none is made yet"
+    return (
+        f"{what} of {each} at each point, {count}, {interval_label(quantity)}{kind if has_interval(quantity) else ''}"
+    )
+
+
+def has_interval(quantity: Quantity) -> bool:
+    """Whether any number of a picture has one."""
+    return any(isfinite(cell.estimate.level) for cell in quantity.cells.values())
+
+
 def columns_of(panels: int) -> int:
     return 2 if panels == 4 else min(3, panels)
 

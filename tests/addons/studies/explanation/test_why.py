@@ -411,3 +411,14 @@ def test_of_a_log_that_ends_before_the_check_fails(small_log: Path, tmp_path: Pa
     assert why.at_s < why.failed_s == explained(small_log, most_runs=0).failed_s
     assert f"the log ends at {why.at_s:g} s, before the check fails" in why.notes[0]
     assert f"it failed at {why.failed_s:g} s" in "\n".join(lines(why))
+
+
+def test_whole_numbers_stand_in_lanes() -> None:
+    """Lines at 0, 1 and 2 hid each other, on an axis that counted in quarters; a gap belongs to no number."""
+    _, (ax,) = panels(1, 1)
+    ax.set_xlim(0.0, 6.0)
+    t = np.array([0.0, 2.0, 3.0, np.nan, 5.0, 6.0])
+    values = np.array([0.0, 2.0, 2.0, np.nan, 1.0, 1.0])
+    _lanes(ax, {1: (t, values), 2: (t, np.full(6, 2.0))})
+    told = {(text.get_gid(), text.get_text(), text.get_position()[0]) for text in ax.texts}
+    assert told == {("value-1", "0", 1.0), ("value-1", "2", 2.5), ("value-1", "1", 5.5), ("value-2", "2", 3.0)}

@@ -13,6 +13,7 @@ from made_up_study import CONTROLLER, DELAY, EXTRAPOLATE, LOSS, made_up, usual, 
 from marks import slow
 from matplotlib.figure import Figure
 
+from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.look import COLUMN_IN, PAGE_IN
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.measures import more_is_better
@@ -107,8 +108,10 @@ def test_a_cell_has_its_value_and_interval(made: Made, tmp_path: Path) -> None:
 def test_the_level_of_intervals_is_told(seeds: int, said: str, tmp_path: Path) -> None:
     store = made_up(tmp_path / "s", *STUDIES["curve"], row=usual, seeds=seeds)
     found = figures(store, "formation_final_m")
-    assert legend_of(found["formation_final_m"])[-1] == said
+    assert f"median of runs at each point, n = {seeds}, {said}" in caption_of(found["formation_final_m"])
+    assert (said in legend_of(found["formation_final_m"])) == (not said.startswith("no"))  # no mark, no entry
     assert legend_of(found["passed"])[-1] == "95 % interval"
+    assert caption_of(found["passed"]) == f"share of runs at each point, n = {seeds}, 95 % interval (Wilson)"
 
 
 def points(rows: int, *dimensions: VariedKey, seeds: int = 3) -> Points:
@@ -149,7 +152,7 @@ def test_runs_without_a_number_are_hatched_and_explained(kind: str, made: Made) 
 
 def test_a_study_without_a_row_is_hatched(tmp_path: Path) -> None:
     found = figures(made_up(tmp_path / "s", LOSS, CONTROLLER, row=lambda *_: None))
-    assert legend_of(found["passed"]) == ["nboc", "boc", "95 % interval", "not made yet"]
+    assert legend_of(found["passed"]) == ["nboc", "boc", "not made yet"]
     sample = drawn(made_up(tmp_path / "sample", *SAMPLE, row=lambda *_: None))
     assert list(sample) == ["passed"] and "are a sample and no grid" in str(sample["passed"])
 

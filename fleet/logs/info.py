@@ -14,6 +14,7 @@ from fleet.errors import printable
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import FaultInterval, FaultTime, intervals
 from fleet.logs.reader import LogReader, OnProgress, Record, log_path, log_size
+from fleet.logs.traffic import is_attachment
 from fleet.scenario.sections.vehicle_events import VehicleEvents, is_fault, vehicle_events
 from netem.limits import LOG_FAULTS
 
@@ -48,8 +49,9 @@ def read_info(path: Path, on_progress: OnProgress = lambda _: None) -> Info:
     happened: list[Record] = []
     held = unread = 0
     for block in reader.blocks():
-        for channel, count in zip(*np.unique(block.channel, return_counts=True), strict=True):
-            counts[reader.channels[int(channel)].topic] += int(count)
+        for number, count in zip(*np.unique(block.channel, return_counts=True), strict=True):
+            if not is_attachment(channel := reader.channels[int(number)]):  # which its sample counts
+                counts[channel.topic] += int(count)
         earliest = int(block.log_ns.min())
         first = earliest if first is None else min(first, earliest)
         last = max(last, int(block.log_ns.max()))
@@ -66,6 +68,7 @@ def read_info(path: Path, on_progress: OnProgress = lambda _: None) -> Info:
             counts[channel.topic],
         )
         for channel in reader.channels.values()
+        if not is_attachment(channel)
     }
     found = _intervals(reader, happened, last / 1e9)
     return Info(

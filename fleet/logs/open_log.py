@@ -27,6 +27,7 @@ from fleet.logs.records import Block
 from fleet.logs.schemas import FROM_TICK
 from fleet.logs.topic import STEP, LogKeyError, Topic
 from fleet.logs.topic_names import link_of
+from fleet.logs.traffic import is_attachment
 from fleet.notebook import html_table
 from fleet.scenario.sections.vehicle_events import is_fault
 from netem.parsing import nearest
@@ -341,7 +342,7 @@ class Opening:
             if (self.hold_all or total is not None) and self._cost() > self.most_held:
                 self._relieve()
         # In the order of the channels, with those that hold nothing.
-        ordered = {channel.topic: None for channel in reader.channels.values()}
+        ordered = {channel.topic: None for channel in reader.channels.values() if not is_attachment(channel)}
         kept = {name: self._topic(reader, name) for name in ordered}
         log = Log(self.path, {name: topic for name, topic in kept.items() if topic is not None}, reader, self.most_held)
         if total is not None:
@@ -364,6 +365,8 @@ class Opening:
         last_ns = np.zeros(len(counts), np.uint64)
         np.maximum.at(last_ns, block.channel, block.log_ns)
         for number in np.flatnonzero(counts).tolist():
+            if is_attachment(reader.channels[number]):
+                continue
             topic = self._topic(reader, reader.channels[number].topic)
             if topic is not None:
                 topic.count(int(counts[number]), int(sizes[number]), int(last_ns[number]))
@@ -385,6 +388,8 @@ class Opening:
     def _of(self, reader: LogReader, block: Block) -> Iterator[tuple[str, Block]]:
         for number, some in self.part.within(block).by_channel():
             name = reader.channels[number].topic
+            if is_attachment(reader.channels[number]):
+                continue
             kept = self.part.thinned(some, self._seen[name])
             self._seen[name] += len(some)
             if len(kept):

@@ -19,6 +19,7 @@ from fleet.logs.digest import Digest
 from fleet.logs.other import as_mcap
 from fleet.logs.records import MAGIC, Block, renumbered, together
 from fleet.logs.salvage import Damage, Item, Salvage
+from fleet.logs.traffic import is_attachment
 from netem.files import read_file
 from netem.limits import LOG_REST, SCENARIO
 
@@ -176,7 +177,7 @@ class LogReader:
         return {number: self.channels[number].topic.encode() for number in np.unique(block.channel).tolist()}
 
     def channel(self, topic: str) -> Channel | None:
-        """The first channel of a topic that was declared by now; None if there is none."""
+        """The first channel of a topic that was declared by now, but for one of attachments; None if there is none."""
         return self._by_topic.get(topic)
 
     def _keep(self, item: Item) -> None:
@@ -189,7 +190,8 @@ class LogReader:
             case Channel():
                 self._count(Channel, item.id, _size(item.metadata) + len(item.topic))
                 self.channels[item.id] = item
-                self._by_topic.setdefault(item.topic, item)
+                if not is_attachment(item):
+                    self._by_topic.setdefault(item.topic, item)
             case Metadata():
                 self._count(Metadata, item.name, _size(item.metadata))
                 self.metadata[item.name] = dict(item.metadata)

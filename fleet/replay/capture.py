@@ -19,14 +19,13 @@ from typing import IO, Any, Protocol
 
 from fleet.errors import FleetError
 from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
+from fleet.logs.traffic import ATTACHMENT, DELETE, ENCODING, KIND, PUT
 from fleet.terminal.status_line import StatusLine
 from netem.limits import LOG_RECORD
 from netem.wire.key_expression import matching
 from netem.wire.open_bus import ZenohSample, sample_of
 
 PROFILE = "zenoh"
-KIND, ENCODING = "zenoh.kind", "zenoh.encoding"
-PUT, DELETE, ATTACHMENT = "put", "delete", "attachment"
 
 # https://mcap.dev/spec/registry#message-encodings against zenoh's predefined encodings
 _WELL_KNOWN = {

@@ -11,7 +11,8 @@ from mcap.records import Channel
 from fleet.errors import FleetError
 from fleet.logs.decoder import UNITS
 from fleet.logs.seekable_log import Entry, SeekableLog, Track
-from fleet.replay.capture import ATTACHMENT, DELETE, ENCODING, KIND, zenoh_encoding
+from fleet.logs.traffic import ATTACHMENT, DELETE, ENCODING, KIND
+from fleet.replay.capture import zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, PlaybackOptions, Player
 from fleet.replay.topics import Stamp, hand_out, pack
 from fleet.terminal.keyboard import Key, Keyboard

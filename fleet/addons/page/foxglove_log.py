@@ -18,7 +18,7 @@ from fleet.addons.page.foxglove_server import (
     Subscription,
 )
 from fleet.logs.seekable_log import SeekableLog, Track
-from fleet.replay.capture import ATTACHMENT, DELETE, KIND
+from fleet.logs.traffic import ATTACHMENT, DELETE, KIND
 from fleet.replay.playback import obey
 from fleet.replay.player import SEEK_NS, Player
 from fleet.terminal.keyboard import Key, Keyboard

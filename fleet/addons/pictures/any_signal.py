@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from textwrap import shorten
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -112,7 +113,7 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
     shift = _shift(runs, view, samples) if whole else None
     shown = getters if shift is None else [_moved(get, shift) for get in getters]
     log = bool(view.log_scale) and not whole
-    style = {"drawstyle": "steps-post"} if whole else {}
+    style: dict[str, Any] = {"drawstyle": "steps-post"} if whole else {}
     notes += draw_lines(figure, list(zip(axes, shown, strict=True)), runs, view, log=log, exact=whole, **style)
     for k, ax in zip(components, axes, strict=True):
         own = name if k is None or found.width == 1 else SignalName(component(found.name, k))

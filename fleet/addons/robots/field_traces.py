@@ -24,7 +24,8 @@ from fleet.errors import FleetError
 from fleet.logs.export import file_names
 from fleet.logs.link_traces import write_files
 from fleet.logs.reader import LogReader, OnProgress, log_path
-from fleet.replay.capture import ATTACHMENT, DELETE, KIND, PROFILE
+from fleet.logs.traffic import ATTACHMENT, DELETE, KIND
+from fleet.replay.capture import PROFILE
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable
 from netem.limits import TRACE
 

@@ -20,11 +20,13 @@ from spawned import fleet
 from traffic import LIMIT_S, Command, Ear, endpoint, len_of, session, times
 from waiting import wait_for
 
+import fleet as fleet_api
 from fleet.logs.info import info_text, read_info
 from fleet.logs.reader import LogReader
 from fleet.logs.seekable_log import SeekableLog
+from fleet.logs.traffic import ATTACHMENT, KIND
 from fleet.replay import capture
-from fleet.replay.capture import ATTACHMENT, KIND, PublisherGone, TrafficWriter, message_encoding, zenoh_encoding
+from fleet.replay.capture import PublisherGone, TrafficWriter, message_encoding, zenoh_encoding
 from fleet.replay.topics import Stamp, pack, unpack
 from netem.wire.key_expression import matching
 from netem.wire.open_bus import OpenBus, ZenohSample
@@ -197,9 +199,24 @@ def test_recording_of_a_run_ends_with_it(tmp_path: Path) -> None:
             assert "the run is over" in recorder.printed
         wait_for(lambda: run.over, LIMIT_S, "the end of the run")
         written = LogReader(run.directory / "run.mcap")
-        tape = SeekableLog(tmp_path / "a.mcap")
-        found, expected = [tape[n].data for n in range(1, len(tape), 2)], [record.data for record in written]
+        # It is a log of the run: the same messages at the same times, each once, and all that commands need.
+        found, expected = list(LogReader(tmp_path / "a.mcap")), list(written)
         assert len(found) > 100 and found == expected[: len(found)]
+        told, log = read_info(tmp_path / "a.mcap"), fleet_api.open_log(tmp_path / "a.mcap")
+        assert told.messages == len(found) == log.messages and told.run == read_info(run.directory / "run.mcap").run
+        assert log.scenario.name == "paper" and log["uuv/1/state"].units["x"] == "m"
+        assert set(fleet_api.plot(log, "error")) == {"error", "formation"}
+
+
+def test_an_attachment_is_no_message_of_its_own(tmp_path: Path) -> None:
+    """`info` and `open_log` counted it, and mixed it with the payloads of its topic."""
+    path = traffic(tmp_path / "a.mcap", [sample for sample in SAMPLES if not sample.delete])
+    told, log = read_info(path), fleet_api.open_log(path)
+    assert told.messages == log.messages == 6
+    assert {topic: count for topic, (_, count) in told.topics.items()} == {
+        "robot/1/odom": 2, "robot/1/status": 2, "robot/2/odom": 1, "robot/2/blob": 1,
+    }  # fmt: skip
+    assert log["robot/1/status"].data.tolist() == [b'{"ok": true}', b"text"]
 
 
 def test_what_readers_would_not_take_is_left_out_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

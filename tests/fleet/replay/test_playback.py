@@ -27,8 +27,9 @@ from waiting import wait_for
 from fleet.errors import FleetError
 from fleet.logs.reader import Record
 from fleet.logs.seekable_log import SeekableLog
+from fleet.logs.traffic import ENCODING
 from fleet.processes.interrupts import holding_interrupts
-from fleet.replay.capture import ENCODING, zenoh_encoding
+from fleet.replay.capture import zenoh_encoding
 from fleet.replay.playback import Replay
 from fleet.replay.player import PlaybackOptions
 from fleet.replay.topics import Stamp, ask_topics, pack, unpack

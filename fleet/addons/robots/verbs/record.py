@@ -36,8 +36,8 @@ def record(
     connect: Connect = None,
     listen: Listen = None,
     run: Annotated[str | None, completion.published_runs, Option(
-        "Record the journal of this live run, started with --publish, until it ends: its name or the beginning of it, "
-        "its scenario, or its directory.", "NAME")] = None,
+        "Record the journal of this live run, started with --publish, as a log, until it ends: its name or the "
+        "beginning of it, its scenario, or its directory.", "NAME")] = None,
     ros2: Annotated[bool, Option(
         "Write the messages of ROS 2 nodes as a bag, over rmw_zenoh with ROS_DOMAIN_ID; --out is its directory, and "
         "--key a topic such as '/uuv_1/*'.")] = False,
@@ -45,8 +45,8 @@ def record(
 ) -> None:  # fmt: skip
     """Record zenoh traffic of any kind to an MCAP file, until Ctrl-C.
 
-    With --run it ends with the run. Payloads stay as they are, with their encoding, attachment and timestamp;
-    `fleet replay` publishes them again.
+    With --run it ends with the run, and the file is a log of the run, which every command reads. Other payloads stay as
+    they are, with their encoding, attachment and timestamp; `fleet replay` publishes them again.
 
     \b
     Examples:
@@ -58,7 +58,7 @@ def record(
     from fleet.processes.interrupts import holding_interrupts
     from fleet.replay.capture import PublisherGone, Recorder, TrafficWriter
 
-    connect, credentials, keys = _recorded(keys, connect, listen, run, ros2=ros2)
+    connect, credentials, keys, journal = _recorded(keys, connect, listen, run, ros2=ros2)
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}{'' if ros2 else '.mcap'}")  # noqa: TID251 (a name)
     with ending() as sessions, StatusLine(quiet=quiet) as line:
         if ros2:
@@ -66,6 +66,10 @@ def record(
         else:
             bus = source = open_session(connect, listen, credentials)
             open_writer = partial(TrafficWriter, path, keys)
+            if journal is not None:
+                from fleet.addons.robots.run_log import RunLogWriter
+
+                open_writer = partial(RunLogWriter, path, bus, journal)
         sessions.append(bus)
         with exit_status(2):
             recorder = Recorder(source, keys)
@@ -87,8 +91,8 @@ def record(
 
 def _recorded(
     keys: tuple[str, ...], connect: str | None, listen: str | None, run: str | None, *, ros2: bool
-) -> tuple[str | None, Any, tuple[str, ...]]:
-    """The endpoint to connect to, the credentials for it, and the keys to record.
+) -> tuple[str | None, Any, tuple[str, ...], Any]:
+    """The endpoint to connect to, the credentials for it, the keys to record, and those of the run whose log it is.
 
     Raises click.UsageError: there is no key, or options exclude each other.
     """
@@ -97,11 +101,11 @@ def _recorded(
     if run is None:
         if not keys and not ros2:
             raise click.UsageError("no key to record: give --key 'robot/**', or --key '**' for everything")
-        return connect, None, keys
+        return connect, None, keys, None
     if connect or listen:
         raise click.UsageError("--run finds the router by itself: leave out --connect and --listen")
-    endpoint, credentials, prefix = _observer(run)
-    return endpoint, credentials, keys or (f"{prefix}/log/**",)
+    endpoint, credentials, of_run = _observer(run)
+    return endpoint, credentials, keys or (of_run.log("**"),), None if keys else of_run
 
 
 def _ros2(
@@ -128,10 +132,12 @@ def _finish(recorder: Any, writer: Any, line: Any, path: Path) -> None:
     line.print(f"recorded {writer.samples} messages, {writer.size / 1e6:.2f} MB, to {path}")
     if recorder.left_out:
         say(f"warning: {recorder.left_out}", err=True)
+    if lacks := getattr(writer, "lacks", ""):
+        say(f"note  {lacks}", err=True)
 
 
-def _observer(run: str) -> tuple[str, Any, str]:
-    """Endpoint, credentials and key prefix of a live run that was started with --publish."""
+def _observer(run: str) -> tuple[str, Any, Any]:
+    """Endpoint, credentials and keys of a live run that was started with --publish."""
     from fleet.execution.connection import RemoteError, choose
     from fleet.execution.directory import OBSERVE
     from fleet.replay.observed import read_observed
@@ -142,7 +148,7 @@ def _observer(run: str) -> tuple[str, Any, str]:
     try:
         path = choose(run, OBSERVE) / OBSERVE
         found = read_observed(path)
-        return found.endpoint, Credentials(found.user, found.password), Keys(found.run).prefix
+        return found.endpoint, Credentials(found.user, found.password), Keys(found.run)
     except RemoteError as error:
         raise click.BadParameter(
             f"{error}; the run must have been started with --publish", param_hint="--run"

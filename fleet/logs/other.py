@@ -7,11 +7,21 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
+
+from mcap.records import Schema
 
 from fleet.addon import leave_out, parts
 from fleet.errors import FleetError, in_words
 from netem.private_folder import PrivateFolder
+
+
+class MadeColumns(Protocol):
+    """Makes columns of the messages of one topic."""
+
+    nested: bool  # whether a message holds lists of messages
+
+    def __call__(self, data: bytes | bytearray, lengths: Any, /) -> dict[str, Any]: ...
 
 
 @dataclass(slots=True)
@@ -83,6 +93,20 @@ class OtherData(ABC):
         """
         raise FleetError(f"{path} is {self.name}, which cannot be written as {form}")
 
+    def columns(self, topic: str, encoding: str, schema: Schema, fields: frozenset[str] | None) -> MadeColumns | None:
+        """What makes columns of the messages of a topic that is not protobuf.
+
+        Args:
+            topic: its name.
+            encoding: of its messages, as the log states it.
+            schema: of its messages, as the log states it: a stranger's text.
+            fields: keep only these, as numbers in floating point; None: all.
+
+        Returns:
+            A function of messages that stand one behind the other, and of their lengths; None: it knows no such type.
+        """
+        return None
+
     def recover(self, path: Path, out: Path | None, on_progress: Callable[[float], None]) -> Recovered | None:
         """Write what is left of it.
 
@@ -114,6 +138,17 @@ def known_as(path: Path) -> OtherData | None:
             continue  # a name that is too long, a folder of others: the command itself tells it
         except Exception as error:
             leave_out(f"{type(made).__module__}:{type(made).__name__}", f"recognises: {in_words(error)}")
+    return None
+
+
+def columns_of(topic: str, encoding: str, schema: Schema, fields: frozenset[str] | None = None) -> MadeColumns | None:
+    """What makes columns of a topic that is not protobuf; None: no add-on knows its type. See `OtherData.columns`."""
+    for made in (each() for each in parts("readers")):
+        try:
+            if (found := made.columns(topic, encoding, schema, fields)) is not None:
+                return found  # type: ignore[no-any-return]
+        except Exception as error:
+            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"columns: {type(error).__name__}: {error}")
     return None
 
 

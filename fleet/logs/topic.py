@@ -11,6 +11,7 @@ from mcap.records import Channel, Schema
 
 from fleet.logs.columns import Columnizer, Columns, cost, extremes, joined
 from fleet.logs.decoder import declared_by
+from fleet.logs.other import MadeColumns, columns_of
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array, Block
 from netem.parsing import nearest
@@ -67,9 +68,10 @@ class Topic:
         self._count = 0
         protobuf = schema is not None and channel.message_encoding == schema.encoding == "protobuf"
         self._declared = schema if protobuf else None
+        self._foreign = None if protobuf or schema is None else (channel.message_encoding, schema)
         self._declarations = declared_by(channel)
         self.fields_kept: frozenset[str] | None = None  # None: all
-        self._columnizer: Columnizer | None = None
+        self._columnizer: Columnizer | MadeColumns | None = None
         self.drop()
 
     def drop(self) -> None:
@@ -277,12 +279,16 @@ class Topic:
         """
         return self._declarations.get(field, ("", ""))
 
-    def columnizer(self) -> Columnizer:
+    def columnizer(self) -> Columnizer | MadeColumns:
         """The decoder of its messages.
 
         Raises:
             LogReadError: the log's schema cannot be used.
         """
+        if self._foreign is not None:
+            made = columns_of(self.name, *self._foreign, self.fields_kept)
+            if made is not None:
+                return made
         return Columnizer(self.name, self._declared, self.fields_kept)
 
     @property

@@ -188,9 +188,9 @@ def plot(
     words, formats, folder = words_of(what), words_of(format), None if out is None else Path(out)
     log_scale = None if linear is None else not linear
     if (other := drawn_alike(paths)) is not None:
-        shown = PictureChoice(measures=tuple(words), log_scale=log_scale)
+        shown = PictureChoice(measures=tuple(words), log_scale=log_scale, window=window)
         with looking(look):
-            return Pictures(other.figures(paths, folder, shown, formats, named(paths, labels)))
+            return Pictures(other.figures(paths, folder, shown, formats, named(paths, labels), words))
     single = [name for pictures in WHAT.values() for name, *_ in pictures]
     if strange := [word for word in words if word not in (*WHAT, *single) and parse_name(word) is None]:
         raise FleetError(f"there is no picture {strange[0]!r}; expected some of {', '.join(WHAT)}, or a signal")

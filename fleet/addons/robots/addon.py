@@ -16,5 +16,5 @@ ADDON = AddOn(
     },
     companions=(f"{_AT}.companion:Bridge",),
     exporters=(f"{_AT}.exporters:Traces", f"{_AT}.exporters:BagOfRos"),
-    readers=(f"{_AT}.reader:DamagedBag",),
+    readers=(f"{_AT}.reader:RosBag",),
 )

@@ -34,6 +34,7 @@ class StudyData(DrawnData):
         shown: PictureChoice,
         formats: Sequence[str],
         labels: Sequence[str | None],
+        what: Sequence[str],
     ) -> Sequence[Path]:
         """Draw it, or several on the same axes. Raises StudyError: one is damaged, they vary other things, or there is
         no such measure; FleetError: the place is none."""
@@ -54,6 +55,7 @@ class StudyData(DrawnData):
         shown: PictureChoice,
         formats: Sequence[str],
         labels: Sequence[str | None],
+        what: Sequence[str],
     ) -> dict[str, Figure]:
         """The pictures of `plot`. Raises as that does."""
         from fleet.addons.studies.pictures.gallery import plot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import click
 from click.shell_completion import CompletionItem
@@ -18,7 +18,7 @@ from fleet.cli.types import (
     Words,
 )
 from fleet.errors import FleetError
-from fleet.logs.other import OtherData, other_data
+from fleet.logs.other import OtherData, known_as
 from fleet.option import Option
 
 if TYPE_CHECKING:
@@ -93,13 +93,13 @@ def labels_by_name(labels: Sequence[str]) -> dict[str, str] | Sequence[str]:
 class PictureWords(Words):
     """Some of the given words, or signals such as `control.leads`; whether a log has such a signal is not known yet."""
 
-    others = ", and signals such as control.leads"
+    others = ", signals such as control.leads, and topics of a bag such as /odom"
 
     def allows(self, word: str) -> bool:
         """Whether it has the form of a signal's name."""
         from fleet.scenario.sections.signals import parse_name
 
-        return parse_name(word) is not None
+        return parse_name(word) is not None or word.startswith("/")  # of a bag
 
 
 def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> list[CompletionItem]:
@@ -119,7 +119,13 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
 
 
 class DrawnData(OtherData):
-    """Something besides a log that `fleet plot` and `fleet report` can draw."""
+    """Something besides a log of a run that `fleet plot` and `fleet report` can draw.
+
+    Attributes:
+        refused: options, by their parameters, that mean nothing for it.
+    """
+
+    refused: ClassVar[tuple[str, ...]] = OF_LOGS
 
     def plot(
         self,
@@ -128,6 +134,7 @@ class DrawnData(OtherData):
         shown: PictureChoice,
         formats: Sequence[str],
         labels: Sequence[str | None],
+        what: Sequence[str],
     ) -> Sequence[Path]:
         """Draw it, or several on the same axes, and tell what could not be drawn.
 
@@ -137,6 +144,7 @@ class DrawnData(OtherData):
             shown: what they show.
             formats: some of `FORMATS`.
             labels: how the user calls each; None: as this kind of data is called.
+            what: which pictures; empty: all.
 
         Returns:
             The files.
@@ -153,6 +161,7 @@ class DrawnData(OtherData):
         shown: PictureChoice,
         formats: Sequence[str],
         labels: Sequence[str | None],
+        what: Sequence[str],
     ) -> dict[str, Figure]:
         """The pictures of `plot` by name, for scripts: nothing is told. `out`: None: no file is written."""
         raise NotImplementedError
@@ -163,8 +172,8 @@ class DrawnData(OtherData):
 
 
 def drawn_data(path: Path) -> DrawnData | None:
-    """What draws something that is no log; None: nobody does."""
-    found = other_data(path)
+    """What draws something that is no log of a run; None: nobody does."""
+    found = known_as(path)
     return found if isinstance(found, DrawnData) else None
 
 

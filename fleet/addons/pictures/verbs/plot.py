@@ -12,7 +12,6 @@ import click
 
 from fleet.addons.pictures.verbs.choice import (
     KINDS,
-    OF_LOGS,
     OF_STUDIES,
     PARTS,
     PictureChoice,
@@ -83,9 +82,10 @@ def plot(
     other = drawn_alike(paths)
     called = labels_by_name(labels)
     if other is not None:
-        check_options(log, OF_LOGS, "logs")
+        check_options(log, {*other.refused} & {*OF_STUDIES}, "studies")
+        check_options(log, {*other.refused} - {*OF_STUDIES}, "logs of runs")
         with looking(look):
-            _print(other.plot(paths, out, shown, formats, named(paths, called)))
+            _print(other.plot(paths, out, shown, formats, named(paths, called), () if what == KINDS else what))
         return
     check_options(log, OF_STUDIES, "studies")
     from fleet.addons.pictures.gallery import check_signals, write

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import click
 
-from fleet.addons.pictures.verbs.choice import OF_LOGS, OF_STUDIES, PictureChoice, drawn_data
+from fleet.addons.pictures.verbs.choice import OF_STUDIES, PictureChoice, drawn_data
 from fleet.cli.declare import command
 from fleet.cli.log_argument import check_options, newest_log
 from fleet.cli.types import (
@@ -55,7 +55,8 @@ def report(
             continue
         if len(chosen) > 1:
             raise click.UsageError(f"{path} is {other.name}: a page is about {other.name} alone, or about logs")
-        check_options(path, OF_LOGS, "logs")
+        check_options(path, {*other.refused} & {*OF_STUDIES}, "studies")
+        check_options(path, {*other.refused} - {*OF_STUDIES}, "logs of runs")
         other.report(path, out, shown)
         click.echo(out)
         return

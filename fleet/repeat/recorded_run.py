@@ -101,14 +101,8 @@ def script(path: Path, on_progress: OnProgress = lambda _: None) -> Scenario:
 def _attached(path: Path, reader: LogReader) -> str:
     data = reader.attachments.get("scenario.yaml")
     if data is None:
-        because = (
-            f" ({reader.missing})"
-            if reader.missing
-            else (
-                ": it was not written by fleet run, so there is nothing to judge or to repeat; fleet info and fleet plot show "
-                "what is in it"
-            )
-        )
+        foreign = ": it was not written by fleet run, so there is nothing to judge or to repeat"
+        because = f" ({reader.missing})" if reader.missing else f"{foreign}; fleet info and fleet plot show what it has"
         raise FleetError(f"{path} holds no scenario{because}")
     try:
         return data.decode("utf-8")

@@ -71,6 +71,10 @@ class PictureLabels(click.ParamType[tuple[str, ...]]):
 
     name = "names"
 
+    def write(self, value: tuple[str, ...]) -> str:
+        """The text of a default."""
+        return ",".join(value)
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
         if isinstance(value, tuple):
             return value

@@ -49,7 +49,7 @@ def plot(
         "The names in legends, in the order of the logs, or each by its directory: A=old,B=new. By default what "
         "differs.", "NAMES", "--label")] = (),
     caption: Annotated[bool, Option(
-        "The words below each picture go into captions.txt.", flag="--caption/--no-caption")] = True,
+        "With --no-caption the words below each picture go into captions.txt.", flag="--caption/--no-caption")] = True,
     style: Annotated[str, Option(
         "The font, its size and the width of a column, e.g. font=serif,size=9pt,width=88mm.", "STYLE")] = "",
     shown: PictureChoice,
@@ -63,6 +63,8 @@ def plot(
 
     For the directory of a study it draws the pass rate and measures with intervals, as heat maps, curves or boxes,
     and differences in pairs of runs with the same seed. Hatched areas have runs without the number.
+
+    For a bag of ROS 2 it draws tracks, and the numbers of each topic; --what takes track, /topic and /topic.field.
 
     \b
     Examples:

@@ -52,7 +52,7 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
         ax.set_xscale("log")
         ax.set_yscale("log")
     top.tick_params(labelbottom=True)
-    top.text(timing.world.period_ms, 0.6, " a tick", fontsize=label_pt(), va="top")
+    top.annotate(" a tick", (timing.world.period_ms, 0.03), xycoords=("data", "axes fraction"), fontsize=label_pt())
     top.set_xlabel("answer after its tick began [ms of wall time]")
     bottom.set_xlabel("delay [ms]")
     more = [("others", GREY, "-")] if len(rows) > len(worst) else []

@@ -16,6 +16,7 @@ from fleet.scenario.schema.checks import EVERY, Below, Recovery
 
 _FAR = 3.0  # times
 _DECADES = 4.0
+_LOW, _HIGH = 0.12, 0.88  # of an axis: beyond them words on a line are on that side of it where there is room
 
 
 class Threshold(NamedTuple):
@@ -81,7 +82,8 @@ def draw_thresholds(ax: Axes, asked: Sequence[Threshold]) -> list[str]:
         for begin, end in union([(max(one.begin, first), min(one.end, last)) for one in same]):
             ax.plot([begin, end], [value, value], color="black", linewidth=NORMAL,
                     linestyle=(0, (3, 1.5)), zorder=4, gid="check")  # fmt: skip
-        va, off = ("top", -2) if k == 0 and len(shown) > len(same) else ("bottom", 2)
+        low_down = k == 0 and len(shown) > len(same)
+        va, off = ("top", -2) if (low_down or _share(ax, value) > _HIGH) and _share(ax, value) > _LOW else ("bottom", 2)
         ax.annotate(
             _words(same), (1.0, value), xycoords=("axes fraction", "data"), xytext=(-2, off),
             textcoords="offset points", ha="right", va=va, fontsize=label_pt(), zorder=5, gid="check-name",
@@ -94,6 +96,12 @@ def _words(same: Sequence[Threshold]) -> str:
     words = list(dict.fromkeys(one.words for one in same))
     some = "; ".join(words[:2]) + (f"; and {len(words) - 2} more" if len(words) > 2 else "")
     return " ".join(filter(None, ("check:", same[0].asked, some)))
+
+
+def _share(ax: Axes, value: float) -> float:
+    """How high in the axis a value is, 0 to 1."""
+    low, high, at = ax.yaxis.get_transform().transform([*ax.get_ylim(), value])
+    return float((at - low) / (high - low))
 
 
 def _is_far(ax: Axes, value: float) -> bool:

@@ -372,8 +372,8 @@ def _turn(ax: Any, low: Array, high: Array) -> tuple[int, list[float]]:
     ax.set_xlim(low[1], high[1])
     ax.set_ylim(low[0], high[0])
     ax.set_zlim((low[2] + high[2] + across[2]) / 2, (low[2] + high[2] - across[2]) / 2)  # down is down
-    ax.set_xlabel("east [m]", labelpad=-2)
-    ax.set_ylabel("north [m]", labelpad=-2)
+    ax.set_xlabel("east [m]", labelpad=0)
+    ax.set_ylabel("north [m]", labelpad=0)
     ax.set_zlabel("depth [m]", labelpad=-1)
     ax.tick_params(pad=-2)
     for axis, length in ((ax.xaxis, across[1]), (ax.yaxis, across[0]), (ax.zaxis, factor * across[2])):

@@ -67,7 +67,7 @@ def named(paths: Sequence[Path], given: Mapping[str, str] | Sequence[str]) -> li
     found: list[str | None] = [None for _ in paths]
     for key, label in given.items():
         places = [k for k, path in enumerate(paths) if Path(key) == path]
-        places = places or [k for k, path in enumerate(paths) if key in (path.name, path.resolve().name)]
+        places = places or [k for k, path in enumerate(paths) if key in _called(path)]
         if len(places) > 1 and len(set(paths)) == len(paths):
             raise FleetError(f"label: {printable(key)!r} is {len(places)} of what is drawn; write the path as with LOG")
         if not places:
@@ -77,6 +77,12 @@ def named(paths: Sequence[Path], given: Mapping[str, str] | Sequence[str]) -> li
         for place in places:
             found[place] = _short(label)
     return found
+
+
+def _called(path: Path) -> tuple[str, ...]:
+    """What a run or a study may be called: by its directory, also where its log is named."""
+    folder = path.parent if path.name == "run.mcap" else path
+    return path.name, folder.name, folder.resolve().name
 
 
 def _short(label: str) -> str:

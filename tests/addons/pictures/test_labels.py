@@ -54,6 +54,7 @@ def test_a_legend_names_what_differs_and_what_the_user_says(pair: list[Path]) ->
     assert [run.label for run in load(pair, labels={str(pair[1]): "new"})] == ["k_u 1 1/s, no faults", "new"]
     assert [run.label for run in load(pair, labels=["same", "same"])] == ["same", "same (2)"]
     assert named([Path("runs/a"), Path("runs/b")], {"runs/b": "new\x1b[31m"}) == [None, "new�[31m"]
+    assert named([Path("x/a/run.mcap"), Path("y/b")], {"a": "new"}) == ["new", None]
     with pytest.raises(FleetError, match=r"'a' is 2 of what is drawn; write the path"):
         named([Path("x/a"), Path("y/a")], {"a": "new"})
     with pytest.raises(FleetError, match=r"'runs/c' is none of what is drawn; there are a, b"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
@@ -18,6 +19,9 @@ from fleet.addons.pictures.style import (
     figures,
     save_all,
 )
+from fleet.addons.studies.borders import Borders, Theory, theory
+from fleet.addons.studies.errors import StudyError
+from fleet.addons.studies.pictures.border import draw_borders
 from fleet.addons.studies.pictures.charts import boxes, curves, heat
 from fleet.addons.studies.pictures.marks import (
     MOST_PANELS,
@@ -34,7 +38,7 @@ from fleet.addons.studies.pictures.points import (
     load,
 )
 from fleet.addons.studies.store import Store
-from fleet.errors import printable
+from fleet.errors import FleetError, printable
 from fleet.logs.reader import OnProgress
 
 _MOST_PAGES = 8  # pictures of one quantity
@@ -130,7 +134,24 @@ def _with_origins(
         ("axes", axes),
         ("seeds", " and ".join(str(len(record.seeds)) for record in records)),
     )
-    return ((name, figure, partial(Provenance, title, facts)) for name, title, figure in draw(points, log_scale, share))
+    borders = [store for store in stores.values() if len(stores) == 1 and store.record.border is not None]
+    drawn = (
+        (name, figure, partial(Provenance, title, facts)) for name, title, figure in draw(points, log_scale, share)
+    )
+    return chain(map(_border, borders), drawn)
+
+
+def _border(store: Store) -> Drawn:
+    """The borders that a study looked for, as `fleet boundary` draws them."""
+    borders = Borders(store)
+    theories = [Theory(None, None, None)] * borders.count
+    with suppress(FleetError):  # a law may not be loaded here; then theory says nothing
+        theories = theory(borders)
+    try:
+        figure: Figure | str = draw_borders(borders, theories)
+    except StudyError as reason:
+        figure = str(reason)
+    return "border", figure, partial(Provenance, borders.title, (("scenario", store.record.scenario),))
 
 
 def _slug(key: str) -> str:

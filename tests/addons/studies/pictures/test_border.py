@@ -15,6 +15,7 @@ from fleet.addons.pictures.look import COLUMN_IN
 from fleet.addons.studies.borders import Borders, Theory, find_borders, parse_along, prepare_borders
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.pictures.border import PASSED, _stacked, draw_borders, write_borders
+from fleet.addons.studies.pictures.gallery import plot
 from fleet.addons.studies.plan import Plan
 from fleet.addons.studies.spec import BoundarySpec
 from fleet.addons.studies.values import parse_axis
@@ -124,6 +125,13 @@ def test_the_dots_of_a_value_are_nearer_to_it_than_to_the_next_one() -> None:
     (ax,) = draw_borders(borders, said(borders)).axes
     away = [abs(x - round(x)) for line in ax.lines if line.get_marker() == "." for x in line.get_xdata()]
     assert 0.0 < max(away) <= 0.45 and sorted(away)[len(away) // 2] < 0.15
+
+
+def test_a_study_of_a_border_is_plotted_with_its_border() -> None:
+    """In the look that is asked for; `fleet boundary` alone drew it."""
+    found = plot({"s": borders_of([HOW]).store}, ["formation_final_m"], None, ["png"])
+    (ax,) = found["border"].axes
+    assert ax.get_xlabel() == "loss [%]" and next(iter(found)) == "border"
 
 
 def test_a_border_has_the_formats_that_are_asked_for() -> None:

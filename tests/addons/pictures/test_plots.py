@@ -105,11 +105,13 @@ RUNS = ("faulty", "one", "ideal", "acoustic", "twenty", "mixed")
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "twenty" else []) for name in RUNS]
 )
 def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
-    """Drawn, or a sentence; every axis has a unit; a text is never cut off by the picture's edge."""
+    """Drawn, or a sentence; every axis has a unit; no text is cut off by the picture's edge, and no box covers data."""
     for picture, figure in pictures(runs[name], list(WHAT)).items():
         if isinstance(figure, str):
             assert name == "one" and picture in ("links", "messages", "ages"), (picture, figure)
             continue
+        for ax in figure.axes:
+            assert ax.get_legend() is None and all(text.get_bbox_patch() is None for text in ax.texts), picture
         if name in ("faulty", "one", "twenty"):  # the others only differ in what is on the axes
             figure.draw_without_rendering()
         for label in filter(None, (label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel()))):

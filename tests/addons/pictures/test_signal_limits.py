@@ -95,6 +95,17 @@ def test_a_condition_that_has_to_come_true_is_drawn_while_it_may(run: Run) -> No
     assert ax.get_ylim()[1] < 4.0
 
 
+@pytest.mark.parametrize(
+    ("limits", "sides"), [((10.0,), ["top"]), ((0.0,), ["bottom"]), ((4.0, 6.0), ["top", "bottom"])]
+)
+def test_words_on_a_limit_stay_inside_the_axis(limits: tuple[float, ...], sides: list[str]) -> None:
+    """Those on a limit at the top stood on the frame."""
+    _, (ax,) = panels(1, 1)
+    ax.plot([0.0, 1.0], [0.0, 10.0])
+    draw_thresholds(ax, [Threshold(value, 0.0, 1.0, "", f"below {value:g} m") for value in limits])
+    assert [text.get_verticalalignment() for text in ax.texts] == sides
+
+
 def test_a_limit_far_away_is_said() -> None:
     for scale, values, near, far in (
         ("linear", (5.0, 5.1), 12.0, 100.0),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from netem.parsing import nearest
 
 LONGEST = 40  # characters of a name
 _MOST_KEYS = 2  # keys in a name
+_MOST_TRIED = 40  # keys
 _MOST_SHOWN = 28  # characters of a value
 _NO_MATTER = ("title", "description", "name", "seed", "log")  # keys that change nothing of what happens
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C it takes a twentieth of the time
@@ -99,13 +101,20 @@ def differences(scenarios: Sequence[str]) -> list[str]:
     each = [_flat(yaml.load(text, _LOADER)) for text in scenarios]
     keys = [key for key in dict.fromkeys(key for one in each for key in one) if len({*map(_value(key), each)}) > 1]
     keys = [key for key in keys if key.partition(".")[0] not in _NO_MATTER]
+    happening = [key for key in keys if not key.startswith("checks.")]
+    keys = happening if _tell_apart(happening, each) else keys
     if len(keys) > _MOST_KEYS:  # one key, such as that of a law, may bring many others along
-        alone = [key for key in keys if len({*map(_value(key), each)}) == len(each)]
-        keys = alone[:1]
+        some = (few for size in range(1, _MOST_KEYS + 1) for few in combinations(keys[:_MOST_TRIED], size))
+        keys = list(next((few for few in some if _tell_apart(few, each)), ()))
     short = Counter(key.rpartition(".")[2] for key in keys)
     lists = {key for key in keys if any(isinstance(one.get(key), list) for one in each)}
     words = [", ".join(_words(key, one.get(key, [] if key in lists else None), short) for key in keys) for one in each]
     return [printable(label) for label in words] if all(len(label) <= LONGEST for label in words) else [""] * len(each)
+
+
+def _tell_apart(keys: Sequence[str], each: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether no two of some scenarios have the same values of some keys."""
+    return len({tuple(_value(key)(one) for key in keys) for one in each}) == len(each)
 
 
 def _value(key: str) -> Any:

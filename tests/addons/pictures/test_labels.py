@@ -46,6 +46,9 @@ def test_runs_are_named_by_what_differs() -> None:
     many = "".join(f"k{k}: 1\n" for k in range(9))
     assert differences([f"law: a\n{many}", f"law: b\n{many.replace('1', '2')}"]) == ["law a", "law b"]
     assert differences([BASE, BASE]) == ["", ""]
+    gains = [f"a: {a}\nb: {b}\nc: {a}\nchecks: {{x: {b}}}\n" for a, b in ((1, 1), (2, 1), (2, 2))]
+    assert differences(gains) == ["a 1, b 1", "a 2, b 1", "a 2, b 2"]  # two keys tell three apart, and no check
+    assert differences(["checks: {x: 1}\n", "checks: {x: 2}\n"]) == ["x 1", "x 2"]
     assert differences(["a: x\n", f"a: {'y' * 99}\n"]) == ["", ""]  # too long for a legend
 
 

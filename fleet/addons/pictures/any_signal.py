@@ -19,7 +19,7 @@ from fleet.addons.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over
 from fleet.addons.pictures.found_signal import FoundSignal, find_signal, plain_name, topic_of
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES, draw_limits
-from fleet.addons.pictures.thresholds import thresholds
+from fleet.addons.pictures.thresholds import age_limits, thresholds
 from fleet.errors import FleetError
 from fleet.logs.records import Array
 from fleet.scenario.sections.signal_checks import checked_signals
@@ -51,8 +51,8 @@ def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
     return [name for name in others if any(find_signal(run, name) for run in runs)][:MOST_UNASKED]
 
 
-def errors_of_checks(runs: Sequence[Run]) -> list[str]:
-    """The pictures of those errors that checks are about."""
+def pictures_of_checks(runs: Sequence[Run]) -> list[str]:
+    """The pictures of those errors that checks are about, and of the ages."""
     specs = [run.scenario.spec for run in runs if run.scenario is not None]
     named = {
         plain_name(name).name
@@ -60,7 +60,8 @@ def errors_of_checks(runs: Sequence[Run]) -> list[str]:
         for check in spec.checks.signal or ()
         if (name := parse_name(check.topic)) is not None
     }
-    return [PICTURES[kind] for signal, kind in ERRORS.items() if signal in named or thresholds(runs, kind)]
+    errors = [PICTURES[kind] for signal, kind in ERRORS.items() if signal in named or thresholds(runs, kind)]
+    return [*errors, *(["ages"] if age_limits(runs) else [])]
 
 
 def need(runs: Sequence[Run], name: SignalName) -> None:

@@ -16,6 +16,7 @@ from fleet.addons.pictures.axes import finish, legend_of, marks_legend, over_tim
 from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
 from fleet.addons.pictures.style import THIN, plain_decades
+from fleet.addons.pictures.thresholds import age_limits, draw_thresholds
 from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
@@ -294,6 +295,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
         plain_decades(axes[0].yaxis)
     else:
         axes[0].set_ylim(0.0, None)
+    notes = draw_thresholds(axes[0], age_limits(runs))
     for ax, (run, links), table in zip(axes[1:], tables, peaks, strict=True):
         which = ""
         if len(runs) > 1:
@@ -311,7 +313,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
     bar.set_label("age [s], peaks")
     plain_decades(bar.ax.yaxis)
-    finish(figure, axes, runs, [f"peak and mean in bins of {edges[1] - edges[0]:.2g} s"])
+    finish(figure, axes, runs, [f"peak and mean in bins of {edges[1] - edges[0]:.2g} s", *notes])
     return figure
 
 

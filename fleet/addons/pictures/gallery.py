@@ -111,7 +111,7 @@ def _pictures(kind: str, runs: Sequence[Run], single: Mapping[str, tuple[_Pictur
         named = any_signal.signals_of_checks(runs) if kind == "checks" else []
         found = WHAT.get(kind, ()) or single.get(kind, ())
         if kind == "checks":
-            found = tuple(picture for name in any_signal.errors_of_checks(runs) for picture in single[name])
+            found = tuple(picture for name in any_signal.pictures_of_checks(runs) for picture in single[name])
     else:
         signal = parse_name(kind)
         named, found = [] if signal is None else [signal], ()

@@ -47,6 +47,19 @@ def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
     return list(dict.fromkeys(one for one in found if one.begin < one.end))
 
 
+def age_limits(runs: Sequence[Run]) -> list[Threshold]:
+    """The ages [s] that the checks of all runs allow, each once."""
+    found = []
+    for run in runs:
+        check = run.scenario.spec.checks.max_age if run.scenario is not None else None
+        if check is not None:
+            of = "" if check.links == "*" else f", links {check.links}"
+            words = f"from {check.after / 1e9:g} s{of}"
+            below = check.below / 1e9
+            found.append(Threshold(below, check.after / 1e9, run.log.end, words, f"below {below:g} s"))
+    return list(dict.fromkeys(one for one in found if one.begin < one.end))
+
+
 def _recoveries(check: Recovery, run: Run) -> list[Threshold]:
     faults = run.log.faults
     allowed = check.below / 1e9

@@ -78,6 +78,15 @@ def test_a_norm_is_the_signal_that_the_log_has(run: Run) -> None:
     assert not crosses(drawn(run, ["error"], View(vehicles=(1,)))["error"].axes[0])  # of a vehicle that is not shown
 
 
+def test_the_ages_have_the_limit_of_their_check(run: Run) -> None:
+    other = small("checks={max_age: {below: 80 ms, after: 300 ms, links: '1<->2'}}")
+    judged = Run(run.log, "other")
+    judged.__dict__["scenario"] = other
+    figure = drawn(judged, ["checks"])["ages"]
+    assert asked(figure.axes[0]) == {0.08: (0.3, 1.0)}
+    assert "check: below 0.08 s from 0.3 s, links 1<->2" in [text.get_text() for text in figure.axes[0].texts]
+
+
 def test_checks_are_pictures_of_errors_too(run: Run) -> None:
     assert list(drawn(run, ["checks"])) == ["error", "formation", "state.z"]
     everything = list(drawn(run, [*WHAT]))

@@ -77,8 +77,6 @@ def run(
 
         start_forkserver()  # now: it imports for as long as reading a scenario takes
     loaded, start = _load(scenario, begin, asked_for, quiet=how.quiet, only_shown=show_config)
-    if loaded.nodes and not show_config:
-        raise click.UsageError(f"{loaded.source} has nodes, whose programs are yours: fleet netem {loaded.source}")
     if show_config:
         click.echo(loaded.to_yaml(), nl=False)
         return
@@ -191,6 +189,7 @@ def _load(
 ) -> tuple[Scenario, Start | None]:
     """The scenario to run, and where in a log it begins (`begin`: what --from says)."""
     from fleet.scenario.loading import load_scenario
+    from fleet.scenario.text.overrides import SET, Override
 
     if begin is not None:
         from fleet.repeat.resume import continuation, parse_from
@@ -200,7 +199,10 @@ def _load(
     if scenario is None:
         raise click.UsageError("no scenario given: name one (see fleet list), or give --from LOG")
     # A scenario that is only shown may name laws that may not run.
-    return load_scenario(scenario, changes, refused=[] if only_shown else None), None
+    found = load_scenario(scenario, changes, refused=[] if only_shown else None)
+    if found.nodes and not only_shown:  # here, a file of programs is one in simulated time
+        return load_scenario(scenario, [*changes, Override(SET, "clock=simulated", "--clock simulated")]), None
+    return found, None
 
 
 def _check_clock(speed: float | None, clock: Clock, one_process: str) -> None:

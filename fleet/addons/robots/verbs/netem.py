@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import click
 
@@ -31,6 +31,8 @@ def netem(
     seed: Annotated[int | None, SEED, Option("Override the file's seed.")] = None,
     duration: Annotated[str | None, Option(
         "End after this time, e.g. '5 min'; else with Ctrl-C or fleet stop.", "TIME")] = None,
+    clock: Annotated[Literal["real", "simulated"] | None, Option(
+        "simulated: its programs run in simulated time, as agents do: the same each time, and mostly faster.")] = None,
     changes: Changes,
     trust: Trust = False,
     show_config: Annotated[bool, Option("Print the merged file and stop.")] = False,
@@ -50,6 +52,7 @@ def netem(
       fleet netem stack.yaml --net '* delay 300ms 50ms loss 20%' --duration '2 min'
       fleet inject partition 'auv1 / auv2,shore' --for 30s
       fleet netem stack.yaml --view
+      fleet netem stack.yaml --clock simulated
     """
     from fleet.addons.robots.relay_run import RelayRun
     from fleet.analysis import command_lines, robot_addresses
@@ -57,12 +60,19 @@ def netem(
     from fleet.processes.children import start_forkserver
     from fleet.scenario.loading import load_scenario
     from fleet.scenario.programs import admit_programs
+    from fleet.scenario.text.simulated_nodes import SIMULATED
 
     die_with_study()
-    if not show_config:
+    if not show_config and clock != SIMULATED:
         start_forkserver("netem.relay_process")  # no vehicles: neither numpy nor their laws
-    scenario = load_scenario(stack, [*changes, *key_options(seed=seed, duration=duration)])
-    if not scenario.nodes:
+    scenario = load_scenario(stack, [*changes, *key_options(seed=seed, duration=duration, clock=clock)])
+    beside = [each for each in companions if each.asked]
+    if scenario.spec.names is not None and not show_config:
+        asked = Options(out, in_process=not beside, quiet=quiet)
+        for companion in beside:
+            asked = companion.prepare(scenario, asked, "")
+        execute_and_print(scenario, asked, beside, stderr(), junit)
+    if not scenario.nodes and scenario.spec.names is None:
         raise click.UsageError(f"{stack} has no nodes: fleet run {stack} runs it with agents of its own")
     if show_config:
         click.echo(scenario.to_yaml(), nl=False)
@@ -72,7 +82,6 @@ def netem(
         for text in (*command_lines.warnings(scenario), *robot_addresses.warnings(scenario)):
             say(f"warning: {text}", err=True)
     asked = Options(out, clock=Clock.REAL, quiet=quiet, relay=RelayRun)
-    beside = [each for each in companions if each.asked]
     for companion in beside:
         asked = companion.prepare(scenario, asked, "")
     execute_and_print(scenario, asked, beside, stderr(), junit)

@@ -1,0 +1,158 @@
+"""Files of nodes in simulated time: the programs of the examples, unchanged, with the same words and verdicts."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from repository import ROOT
+from tool import invoke
+
+import fleet
+from fleet.addons.programs.udp_ways import UdpWays
+from fleet.errors import ScenarioError
+from fleet.result.result import Result, Status
+from fleet.scenario.loading import load_scenario, parse_scenario
+
+needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="the library for programs is compiled by cc")
+EXAMPLES = ROOT / "docs" / "examples"
+SIMULATED = {"clock": "simulated"}
+
+
+@pytest.fixture
+def stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Copies an example, and goes into its folder."""
+
+    def copied(name: str) -> Path:
+        shutil.copytree(EXAMPLES / name, tmp_path / name)
+        monkeypatch.chdir(tmp_path / name)
+        return tmp_path / name / "stack.yaml"
+
+    return copied
+
+
+def made(**changes: Any) -> Result:
+    return fleet.run("stack.yaml", set=SIMULATED | changes, out="runs")
+
+
+def verdict(result: Result, check: str) -> tuple[bool, str]:
+    found = next(one for one in result.checks if one.check == check)
+    return found.passed, found.found
+
+
+@needs_cc
+def test_udp_as_on_the_wall_clock_and_the_same_bytes_twice(stack: Any) -> None:
+    """Blocks go over our ports, and acknowledgements go to the sender, which is our port that leads back."""
+    stack("socket_stack")
+    first, second = made(), made()
+    assert first.status is Status.PASS and first.digest == second.digest
+    assert verdict(first, "programs") == (True, "all 2")
+    assert verdict(first, "arrives")[1].startswith("after ")
+    assert [link for link in first.ledger if link != "*"] == ["shore->robot", "robot->shore"]
+    command = invoke("netem", "stack.yaml", "--clock", "simulated", "--quiet")
+    assert command.exit_code == 0, command.output
+    run = Path(command.stdout.strip())
+    assert json.loads((run / "result.json").read_text())["digest"] == first.digest
+    assert invoke("verify", run).exit_code == 0
+    assert invoke("run", "stack.yaml", "--in-process", "--quiet").exit_code == 0
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("checks", "words"),
+    [
+        ({"programs": {"shore": "running"}}, "shore ended at 4.20 s"),
+        ({"programs": {"robot": "done"}}, "robot did not end"),
+    ],
+)
+def test_programs_are_judged_by_the_names_of_nodes(checks: dict[str, Any], words: str, stack: Any) -> None:
+    stack("socket_stack")
+    passed, found = verdict(made(checks=json.dumps(checks)), "programs")
+    assert not passed and words in found
+
+
+COUNTS = """
+import os, sys, time
+for n in range(3):
+    print("line", os.environ["WHO"], flush=True)
+    time.sleep(0.1)
+if sys.argv[1] == "b":
+    sys.exit("it went wrong")
+time.sleep(99)
+"""
+
+
+@needs_cc
+def test_a_program_that_fails_is_named_and_lines_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("p.py").write_text(COUNTS)
+    Path("stack.yaml").write_text("""
+title: Two
+nodes: {a: {}, b: {}}
+programs: {"*": {run: [python, p.py, "{node}"], env: {WHO: "{number} of {address}"}}}
+signals: {lines: {line: "line", count: yes}}
+duration: 1 s
+""")
+    result = made()
+    passed, found = verdict(result, "programs")
+    assert not passed and found.startswith("b at 0.30 s: ") and "it went wrong" in found
+    assert result.vehicles["1"].signals["lines"].value == 3.0
+    assert result.directory is not None
+    assert "line 1 of 10.0.0.1" in (result.directory / "log" / "agent-1.log").read_text()
+
+
+@needs_cc
+def test_a_fault_names_nodes_and_zenoh_needs_no_word_of_ours(stack: Any) -> None:
+    """The election, unedited: a router of zenoh for each member, and a member that is killed."""
+    stack("election_stack")
+    result = made(duration="3 s", faults="[{at: 2 s, for: 500 ms, kill: m2}]", checks="{}")
+    assert result.status is Status.PASS, result.lines
+    assert all(result.ledger[f"m{i}->m{i % 5 + 1}"].delivered for i in range(1, 6))
+    assert result.ledger["m1->m2"].lost["dead receiver"] > 0
+
+
+STACK = "title: T\nduration: 1 s\nclock: simulated\nnodes: {{a: {a}, b: {{}}}}\nprograms: {programs}\n{more}\n"
+MESSAGES = "signals: {s: {message: k, count: yes}}\nchecks: {signal: {topic: s, above: 0}}"
+TRUE = '{"*": {run: "true"}}'
+
+
+@pytest.mark.parametrize(
+    ("a", "programs", "more", "words"),
+    [
+        ("{listen: tcp/127.0.0.1:7501}", TRUE, "", "nodes.a.listen: is of a real host"),
+        ("{isolate: yes}", TRUE, "", "isolate is for the wall clock"),
+        ("{}", '{a: {run: "true"}}', "", "nodes.b: has no program, and nobody joins simulated time"),
+        ("{}", '{"*": {run: "true"}, a/two: {run: "true"}}', "", r"nodes.a: has 2 programs \(a, a/two\)"),
+        ("{}", TRUE, "compose: x.yaml", "compose: has no meaning in simulated time"),
+        ("{}", '{"*": {run: "x {zenoh}"}}', "", r"\{zenoh\} is a file or port of a real host"),
+        (
+            "{}",
+            TRUE,
+            "signals: {s: {message: k, count: yes}}\nchecks: {signal: {topic: s, above: 0}}",
+            "about messages",
+        ),
+    ],
+)
+def test_what_needs_a_real_host_is_refused_in_words(a: str, programs: str, more: str, words: str) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        parse_scenario(STACK.format(a=a, programs=programs, more=more), "stack.yaml")
+
+
+def test_without_an_end_or_without_nodes_there_is_no_simulated_time() -> None:
+    text = STACK.format(a="{}", programs=TRUE, more="").replace("duration: 1 s\n", "")
+    with pytest.raises(ScenarioError, match="simulated time needs an end"):
+        parse_scenario(text, "stack.yaml")
+    with pytest.raises(ScenarioError, match="clock: has no effect without nodes"):
+        load_scenario("paper", ["clock=simulated"])
+
+
+def test_ports_of_the_own_host_stand_for_those_of_others() -> None:
+    ways = UdpWays({"9201": [2, 9202], "9203": [3, 0]})
+    assert (ways.way(9201), ways.way(9202), bool(ways)) == ((2, 9202), None, True)
+    assert ways.arrives(2, 9300) == (9300, 9201)  # an answer to it comes to us
+    assert ways.arrives(3, 0) is None  # nothing of the own has been sent there yet
+    ways.sends(3, 40_000)
+    assert ways.arrives(3, 0) == (40_000, 9203)

@@ -10,7 +10,8 @@ m ticks. In the round that begins at tick k, that is in the ticks k to k + m - 1
    `aloha`: a seeded random back-off after the payload is in the buffer and the modem is free. `csma`: the same, but if
    a modem hears a transmission at its start, it draws another back-off after the end of that transmission. `tdma`: at
    the start of the vehicle's next slot by its own clock (`netem.medium_access`). If the start is in a later round, the
-   payload stays in the buffer.
+   payload stays in the buffer. A payload whose program has asked for a start (`netem.endpoint`) waits beside the
+   buffer, and starts at that tick, whoever's turn it is.
 3. All distances are between the positions at round tick k; a vehicle without an agent keeps its last known position.
    The active faults, and which vehicles have an agent, are also those at tick k. So a run with faults that a user
    injected while it was running can be repeated.
@@ -28,7 +29,7 @@ The causes of a loss, in the order of the checks. From the tick `final at` on, t
 | `mtu` | round tick | the payload is longer than the modem accepts, or does not fit into a slot |
 | `replaced` | round tick | a newer payload replaced it in the full buffer |
 | `dead sender` | round tick | the sending vehicle lost its agent while the payload waited |
-| `queue` | round tick | the buffer of a modem that refuses was full |
+| `queue` | round tick | the buffer of a modem that refuses was full; or at its start, if the modem was still sending |
 | `mute`, `partition`, `down`, `loss`, `queue` | start | a fault or the link's condition, besides the acoustic causes |
 | `range` | end of reception | the receiver is beyond the modem's range |
 | `half duplex` | likewise | the receiver itself transmits during a part of the reception |
@@ -44,11 +45,12 @@ last try.
 from __future__ import annotations
 
 from bisect import insort
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from netem.air import Air
 from netem.cause import Cause
 from netem.config import NetemConfig
+from netem.endpoint import Level
 from netem.faults import ActiveFaults
 from netem.link_trace import TRY
 from netem.links import Links
@@ -88,7 +90,7 @@ class AcousticChannel:
     def carry(self, round_: MediumRound) -> None:
         """Transmit the payloads that start in a round, and decide the receptions that end in it. Raises ValueError: the
         round has no positions of the vehicles."""
-        tick, until, transmissions, positions, faults, clocks = round_
+        tick, until, transmissions, positions, faults, clocks, starts = round_
         if positions is None:
             raise ValueError("an acoustic channel needs the vehicles' positions")
         self._air.places.update(positions)
@@ -96,7 +98,7 @@ class AcousticChannel:
         self._ranges.begin_round(round_)
         for src in sorted(transmissions):
             for payload in transmissions[src]:
-                self._accept(tick, src, payload, faults)
+                self._accept(tick, src, payload, faults, starts)
         alive = [station for src, station in self._stations.items() if src in positions]
         for src, station in self._stations.items():
             if src not in positions:
@@ -115,9 +117,9 @@ class AcousticChannel:
     def close(self, end_tick: int) -> None:
         """End the run before tick `end_tick`: record every payload that waits or is being received as in flight."""
         for src, station in self._stations.items():
-            for sent in (*station.late, *station.waiting):
+            for sent in station.unsent:
                 self._lose_unsent(src, sent, end_tick, Cause.IN_FLIGHT)
-            station.late, station.waiting = [], []
+            station.late, station.waiting, station.timed = [], [], []
         for src, transfer in self._transfers.items():
             self._lose_unsent(src, transfer.sent, end_tick, Cause.IN_FLIGHT, transfer.missing())
         for reception in self._receptions:
@@ -130,18 +132,27 @@ class AcousticChannel:
         """Lose a payload before its modem has it, because too much waits there."""
         self._lose_unsent(src, self._enter(tick, src, payload, 0), tick, Cause.QUEUE)
 
+    def level(self, burst: Burst, dst: int) -> Level:
+        """How strong a transmission is at a vehicle that hears it."""
+        return self._air.level(burst, dst)
+
     def under_way(self) -> set[tuple[int, int]]:
         """The payloads without a final fate, by vehicle and number."""
-        unsent = {(src, sent.seq) for src, each in self._stations.items() for sent in (*each.late, *each.waiting)} | {
+        unsent = {(src, sent.seq) for src, each in self._stations.items() for sent in each.unsent} | {
             (src, transfer.sent.seq) for src, transfer in self._transfers.items()
         }
         ranged = {(kept.packet.src, kept.packet.seq) for kept in self._ranges.kept}
         return unsent | ranged | {(reception.src, reception.seq) for reception in self._receptions}
 
-    def _accept(self, tick: int, src: int, payload: bytes, faults: ActiveFaults) -> None:
+    def _accept(
+        self, tick: int, src: int, payload: bytes, faults: ActiveFaults, starts: Mapping[tuple[int, int], int]
+    ) -> None:
         sent = self._enter(tick, src, payload, faults.slow.get(src, 0))
+        start = starts.get((src, sent.seq))
         if len(payload) > self._longest[src]:
             self._lose_unsent(src, sent, tick, Cause.MTU)
+        elif start is not None:
+            insort(self._stations[src].timed, (max(start, sent.ready_tick), sent))
         else:
             insort(self._stations[src].late, sent)
 
@@ -158,6 +169,7 @@ class AcousticChannel:
         ticks += [query.start_tick for query in self._ranges.queries]
         for station in alive:
             ticks += [sent.ready_tick for sent in station.late[:1]]
+            ticks += [start for start, _ in station.timed[:1]]
             transfer = self._transfers.get(station.vehicle)
             if transfer is not None and station.start_tick is None:
                 ticks.append(transfer.deadline_tick)
@@ -172,6 +184,8 @@ class AcousticChannel:
         transfer = self._transfers.get(src)
         if transfer is not None and station.start_tick is None and now >= transfer.deadline_tick:
             self._failed(station, transfer, now)
+        while station.timed and station.timed[0][0] <= now:
+            self._start_timed(station, station.timed.pop(0)[1], now, faults)
         while station.late and station.late[0].ready_tick <= now:
             joins = station.late.pop(0)
             full = len(station.waiting) >= self._acoustic.buffer
@@ -208,8 +222,7 @@ class AcousticChannel:
                 transfer = self._transfers[src] = Transfer(sent, list(self._links.receivers[src]))
         else:
             sent = transfer.sent
-        ends_ns = start * self._config.tick_ns + modem.airtime_ns(len(sent.payload))
-        station.free_tick = max(start + 1, -(-ends_ns // self._config.tick_ns))
+        ends_ns = self._occupy(station, start, sent)
         if transfer is not None:
             transfer.tried += 1
             transfer.deadline_tick = max(
@@ -226,12 +239,28 @@ class AcousticChannel:
         if transfer is None:
             self._schedule(station, station.free_tick)
 
+    def _start_timed(self, station: Station, sent: QueuedPayload, start: int, faults: ActiveFaults) -> None:
+        """Transmit a payload at the tick that is asked for, or never: later it would disturb somebody else's turn."""
+        if station.free_tick > start or station.vehicle in faults.mute:
+            cause = Cause.QUEUE if station.free_tick > start else Cause.MUTE
+            self._lose_unsent(station.vehicle, sent, start, cause)
+            return
+        self._occupy(station, start, sent)
+        self._transmit(station.vehicle, start, sent, None, faults)
+
+    def _occupy(self, station: Station, start: int, sent: QueuedPayload) -> int:
+        """Let a modem transmit a payload from a tick on. Returns when that ends [ns]."""
+        tick_ns = self._config.tick_ns
+        ends_ns = start * tick_ns + self._acoustic.modem_of(station.vehicle).airtime_ns(len(sent.payload))
+        station.free_tick = max(start + 1, -(-ends_ns // tick_ns))
+        return ends_ns
+
     def _drop(self, tick: int, src: int, station: Station) -> None:
-        for sent in (*station.late, *station.waiting):
+        for sent in station.unsent:
             self._lose_unsent(src, sent, tick, Cause.DEAD_SENDER)
         if (transfer := self._transfers.pop(src, None)) is not None:
             self._lose_unsent(src, transfer.sent, tick, Cause.DEAD_SENDER, transfer.missing())
-        station.late, station.waiting, station.start_tick = [], [], None
+        station.late, station.waiting, station.timed, station.start_tick = [], [], [], None
 
     def _lose_unsent(
         self, src: int, sent: QueuedPayload, tick: int, cause: Cause, receivers: Sequence[int] | None = None

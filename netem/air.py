@@ -6,6 +6,7 @@ from math import sqrt
 
 from netem.cause import Cause
 from netem.draws import uniform
+from netem.endpoint import UNKNOWN, Level
 from netem.medium import Place
 from netem.modem import AcousticConfig
 from netem.propagation import decibels, fading_gain_db, power
@@ -74,6 +75,16 @@ class Air:
         if lost and uniform(self._seed, _SHORT.get(r.copy, SNR), r.src, r.dst, r.seq, *start) < lost:
             return Cause.SNR
         return None
+
+    def level(self, burst: Burst, dst: int) -> Level:
+        """How strong a transmission is at a vehicle that hears it; UNKNOWN if it does not."""
+        acoustic, sender, receiver = self._acoustic, self._acoustic.modem_of(burst.src), self._acoustic.modem_of(dst)
+        for i, range_m, _ in burst.heard:
+            if i == dst:
+                gain = self._gain(burst.src, dst, burst.start_tick)
+                received = acoustic.received_level(range_m, sender) + gain
+                return Level(received, acoustic.snr(range_m, sender, receiver) + gain)
+        return UNKNOWN
 
     def _gain(self, src: int, dst: int, start_tick: int) -> float:
         acoustic = self._acoustic

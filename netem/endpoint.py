@@ -25,6 +25,9 @@ class ModemRequest(NamedTuple):
     what: int  # protocol number
     payload: bytes
     tag: Any  # what the endpoint calls it
+    # What the modem says beside the payload, as in a preamble. It takes no room of it, and no time of its own.
+    head: bytes = b""
+    at_ns: int | None = None  # when it has to begin, of CLOCK_MONOTONIC, whoever's turn it is; None: by medium access
 
 
 class SentFrame(NamedTuple):
@@ -33,6 +36,16 @@ class SentFrame(NamedTuple):
     tag: Any
     at_ns: int  # of CLOCK_MONOTONIC
     airtime_ns: int
+
+
+class Level(NamedTuple):
+    """How strong a transmission is where it is heard, with its fading."""
+
+    received: float  # dB re 1 uPa
+    snr: float  # dB, over the noise in the band of the modem that hears it
+
+
+UNKNOWN = Level(0.0, 0.0)
 
 
 class HeardFrame(NamedTuple):
@@ -45,6 +58,9 @@ class HeardFrame(NamedTuple):
     sent_ns: int  # when its transmission began
     begin_ns: int  # when its reception began
     end_ns: int  # when the modem has it
+    head: bytes = b""  # see `ModemRequest`
+    level: Level = UNKNOWN
+    away: tuple[float, ...] | None = None  # north, east, down [m]: from here to its modem, where they are now
 
 
 class Sound(NamedTuple):
@@ -63,6 +79,7 @@ class Sea(NamedTuple):
     access_s: float  # the longest that a free modem waits for its turn to talk
     sound_speed: float  # m/s
     begin_ns: int  # when the modems were switched on, of CLOCK_MONOTONIC: t = 0, or before programs get ready
+    seed: int  # of the run
     name: str  # of its robot
     addresses: dict[str, int]  # of all modems at the beginning, by name of the robot
     send: Callable[[ModemRequest], None]
@@ -99,7 +116,7 @@ class ModemEndpoint(Protocol):
     def reached(self, sound: Sound) -> None:
         """A transmission of another modem is on its way here."""
 
-    def spoiled(self, cause: Cause, at_ns: int) -> None:
+    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """A reception here has failed, and why."""
 
     @property

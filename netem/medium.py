@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 from netem.cause import Cause
@@ -26,6 +27,7 @@ class MediumRound(NamedTuple):
     positions: Mapping[int, Place] | None  # places of everyone alive; None: unknown
     faults: ActiveFaults  # the faults at the round tick
     clocks: Clocks | None = None  # None: all are right
+    starts: Mapping[tuple[int, int], int] = MappingProxyType({})  # start ticks that are asked for, by (sender, number)
 
 
 class Medium(Protocol):

@@ -21,7 +21,7 @@ from netem.cause import Cause
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.correlation import lost_share
-from netem.endpoint import HeardFrame, ModemEndpoint, SentFrame, Sound
+from netem.endpoint import UNKNOWN, HeardFrame, Level, ModemEndpoint, SentFrame, Sound
 from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY
@@ -29,6 +29,7 @@ from netem.links import make_links
 from netem.medium import IndependentLinks, MediumRound, Place
 from netem.network import fate_order
 from netem.robot_message import MODEM, PUT, RobotMessage
+from netem.station import Burst
 from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
 
@@ -165,7 +166,7 @@ class Relay:
         self._out.begin_ns = begin_ns
         self._dry = None if water else IndependentLinks(config, self._links, self._out)
         self._water = AcousticChannel(config, self._links, self._out) if water else None
-        self._modems, self._begun = modems, dict[int, tuple[int, int]]()  # by message: when it began, and its airtime
+        self._modems, self._begun = modems, dict[int, Burst]()  # by message: its transmission
         if modems and self._water is not None:
             self._water.begun, self._out.spoiled = [], []
         self._taken = 0
@@ -334,12 +335,15 @@ class Relay:
     def _carry(self, water: AcousticChannel) -> None:
         tick = self._next
         came = {src: tuple(data for _, data in parts) for src, parts in self._came.items()}
+        starts: dict[tuple[int, int], int] = {}
         for src, parts in self._came.items():
             for number, (part, _) in enumerate(parts, self._numbers[src]):
                 self._out.named[src, number] = part
+                if part.message.kind == MODEM and (at_ns := part.message.what.at_ns) is not None:
+                    starts[src, number] = -(-(at_ns - self._begin_ns) // self.config.tick_ns)
             self._numbers[src] += len(parts)
         self._came = {}
-        water.carry(MediumRound(tick, tick + 1, came, self.places, self._faults(tick)))
+        water.carry(MediumRound(tick, tick + 1, came, self.places, self._faults(tick), starts=starts))
         self._next = tick + 1
         if self._modems:
             self._tell_modems(water)
@@ -358,7 +362,7 @@ class Relay:
             if seq is None:  # an answer of the channel's own
                 continue
             message = self._out.named[burst.src, seq].message
-            self._begun[message.number] = at_ns, airtime_ns
+            self._begun[message.number] = burst
             if burst.src in self._modems and message.kind == MODEM:
                 self._modems[burst.src].sent(SentFrame(message.what.tag, at_ns, airtime_ns))
         for src, seq, cause in water.unsent:
@@ -366,9 +370,10 @@ class Relay:
             if part is not None and part.message.kind == MODEM and src in self._modems:
                 self._modems[src].dropped(part.message.what.tag, cause)
         for fate in self._out.spoiled or ():
-            at_ns = self._begin_ns + fate.final_tick * tick_ns
             if fate.cause in _SPOILED and fate.dst in self._modems:
-                self._modems[fate.dst].spoiled(fate.cause, at_ns)
+                named = self._out.named.get((fate.src, fate.seq))
+                level = UNKNOWN if named is None else self._level(named.message, fate.dst)
+                self._modems[fate.dst].spoiled(fate.cause, self._begin_ns + fate.final_tick * tick_ns, level)
         water.begun, water.unsent, self._out.spoiled = [], [], []
         while len(self._begun) > _MOST_BEGUN:
             del self._begun[next(iter(self._begun))]
@@ -382,9 +387,24 @@ class Relay:
         request, packet, acoustic = due.message.what, due.packet, self.config.acoustic
         end_ns = self._begin_ns + packet.sent_tick * self.config.tick_ns + packet.delay_ns
         processing_ns = 0 if acoustic is None else round(acoustic.modem_of(due.dst).processing * 1e9)
-        sent_ns, airtime_ns = self._begun.get(due.message.number, (end_ns, 0))
+        sent_ns, airtime_ns = end_ns, 0
+        if (burst := self._begun.get(due.message.number)) is not None:
+            sent_ns, airtime_ns = self._begin_ns + burst.start_tick * self.config.tick_ns, burst.airtime_ns
         begin_ns = end_ns - processing_ns - airtime_ns
-        return HeardFrame(request.src, request.to, request.what, due.payload, sent_ns, begin_ns, end_ns)
+        here, there = self.places.get(due.dst), self.places.get(packet.src)
+        away = None if here is None or there is None else tuple(b - a for a, b in zip(here, there, strict=True))[:3]
+        return HeardFrame(
+            request.src, request.to, request.what, due.payload, sent_ns, begin_ns, end_ns, request.head,
+            self.level_of(due), away,
+        )  # fmt: skip
+
+    def level_of(self, due: DueMessage) -> Level:
+        """How strong the transmission of a message that is due was; UNKNOWN: it is forgotten."""
+        return self._level(due.message, due.dst)
+
+    def _level(self, message: RobotMessage, dst: int) -> Level:
+        burst = self._begun.get(message.number)
+        return UNKNOWN if burst is None or self._water is None else self._water.level(burst, dst)
 
     def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""

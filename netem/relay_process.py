@@ -222,7 +222,7 @@ class RelayProcess:
             longest = acoustic.longest(self._setup.config.tick_ns, i) - self._setup.header
             modem.begin(
                 Sea(acoustic.modem_of(i), longest, acoustic.buffer, access_s, acoustic.sound_speed, begin_ns,
-                    names[i], addresses, self._queue.put, place, move)
+                    self._setup.config.seed, names[i], addresses, self._queue.put, place, move)
             )  # fmt: skip
 
     def _serve(self) -> None:
@@ -372,7 +372,7 @@ class RelayProcess:
     def _heard(self, due: DueMessage, modem: ModemEndpoint, relay: Relay) -> None:
         """Give a frame to a modem that programs open; it is there then, whether one listens or not."""
         if (frame := relay.frame_of(due)) is None:
-            modem.spoiled(Cause.SNR, due.due_ns)
+            modem.spoiled(Cause.SNR, due.due_ns, relay.level_of(due))
         else:
             modem.heard(frame)
         at_ns = monotonic_ns()

@@ -34,6 +34,12 @@ class Station(Struct, array_like=True):
     free_tick: int = 0  # first tick at which the modem can start again
     seq: int = 0  # number of payloads taken from the agent so far
     draws: int = 0  # number of random back-offs used so far
+    timed: list[tuple[int, QueuedPayload]] = []  # payloads with a start tick that is asked for, the first one first
+
+    @property
+    def unsent(self) -> tuple[QueuedPayload, ...]:
+        """The payloads that it has not transmitted."""
+        return (*self.late, *self.waiting, *(sent for _, sent in self.timed))
 
 
 class Transfer(Struct, array_like=True):

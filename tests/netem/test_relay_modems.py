@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -10,7 +12,7 @@ import pytest
 from netem.cause import Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.endpoint import HeardFrame, ModemRequest, Sea, SentFrame, Sound
+from netem.endpoint import HeardFrame, Level, ModemRequest, Sea, SentFrame, Sound
 from netem.faults import NetFault
 from netem.modem import AcousticConfig, Modem
 from netem.relay import Relay
@@ -54,7 +56,7 @@ class Listener:
     def reached(self, sound: Sound) -> None:
         self.told.append(("reached", ms(sound.begin_ns), ms(sound.end_ns)))
 
-    def spoiled(self, cause: Cause, at_ns: int) -> None:
+    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         self.told.append(("spoiled", cause))
 
 
@@ -67,9 +69,13 @@ def told(
     faults: tuple[NetFault, ...] = (),
     links: tuple[Link, ...] = LINKS,
     condition: Condition = PERFECT,
+    starts: Mapping[bytes, float] = MappingProxyType({}),
     **more: Any,
 ) -> dict[int, list[Any]]:
-    """What three modems learn if these payloads are given to them: (modem, receiver, payload, time [ms])."""
+    """What three modems learn if these payloads are given to them: (modem, receiver, payload, time [ms]).
+
+    `starts`: when payloads have to begin [ms].
+    """
     acoustic = AcousticConfig(**{"modem": QUICK, "buffer": 2, "refuses": True, "sound_speed": 1500.0} | more)
     config = NetemConfig(
         seed=1, tick_ns=TICK_NS, round_ticks=1, vehicles=(1, 2, 3), links=links,
@@ -83,7 +89,9 @@ def told(
         at_ns = BEGIN_NS + tick * TICK_NS
         while waiting and waiting[0][3] <= ms(at_ns):
             src, to, payload, _ = waiting.pop(0)
-            request = ModemRequest(src, 100 + src, to, 0, payload, "t")
+            start = starts.get(payload)
+            start_ns = None if start is None else BEGIN_NS + round(start * 1e6)
+            request = ModemRequest(src, 100 + src, to, 0, payload, "t", b"head", start_ns)
             relay.take(RobotMessage(src, MODEM, "modem/0", payload, at_ns, request))
         for due in list(relay.handed(at_ns)):
             if (frame := relay.frame_of(due)) is not None:
@@ -147,3 +155,57 @@ def test_sound_passes_where_a_link_is_cut() -> None:
     cut = NetFault("c", 0, 100, "down", ((1, 2),))
     found = told((1, 2, b"hello", 0.0), faults=(cut,))
     assert found[2] == [("reached", 100.0, 250.0)]
+
+
+MACS: list[dict[str, Any]] = [{"mac": "aloha", "backoff_ticks": 30}, {"mac": "csma", "backoff_ticks": 30},
+                              {"mac": "tdma", "slot_ticks": 100, "guard_ns": 0}]  # fmt: skip
+
+
+@pytest.mark.parametrize("mac", MACS)
+def test_a_payload_begins_when_its_program_says_whoevers_turn_it_is(mac: dict[str, Any]) -> None:
+    """A program with slots of its own would else collide with the others. The start is at the next whole tick."""
+    found = told((2, 1, b"hello", 0.0), starts={b"hello": 1234.5}, **mac)
+    assert found[2] == [("sent", "t", 1240.0, 150)]
+    assert found[1] == [("reached", 1340.0, 1490.0), ("heard", 102, 1, b"hello", 1240.0, 1340.0)]
+
+
+def test_programs_with_slots_of_their_own_do_not_collide() -> None:
+    """Both have a payload at once; without their times they collide at the modem between them."""
+    both = ((1, 2, b"hello", 0.0), (3, 2, b"world", 0.0))
+    assert [one[0] for one in told(*both)[2]].count("spoiled") == 2
+    found = told(*both, starts={b"hello": 500.0, b"world": 1000.0})
+    assert [one[3] for one in found[2] if one[0] == "heard"] == [b"hello", b"world"]
+
+
+def test_what_cannot_begin_at_its_time_is_lost_and_told() -> None:
+    """The modem sends 60 bytes from 0 to 0.7 s. Later it would disturb the turn of somebody else."""
+    found = told((1, 2, b"a" * 60, 0.0), (1, 2, b"hello", 0.0), starts={b"hello": 500.0})
+    assert found[1] == [("sent", "t", 0.0, 700), ("dropped", "t", Cause.QUEUE)]
+    mute = NetFault("m", 0, 100, "mute", vehicles=(1,))
+    found = told((1, 2, b"hello", 0.0), starts={b"hello": 500.0}, faults=(mute,))
+    assert found[1] == [("dropped", "t", Cause.MUTE)]
+
+
+def test_a_payload_that_waits_for_its_time_lets_others_by_and_goes_first_then() -> None:
+    """The other one is there at 0.4 s with a back-off of up to 0.3 s, and leaves before it or behind it."""
+    found = told((1, 2, b"hello", 0.0), (1, 2, b"other", 0.0), starts={b"hello": 900.0}, backoff_ticks=30)
+    assert [one[3] for one in found[2] if one[0] == "heard"] == [b"other", b"hello"]
+    found = told((1, 2, b"hello", 0.0), (1, 2, b"other", 890.0), starts={b"hello": 900.0}, backoff_ticks=30)
+    assert next(one[2] for one in found[1]) == 900.0 and [one[0] for one in found[1]] == ["sent", "sent"]
+
+
+def test_a_frame_says_how_strong_it_is_where_it_is_heard_and_from_where_it_comes() -> None:
+    """By the propagation that decides its fate: the nearer one hears it stronger."""
+    acoustic = AcousticConfig(modem=QUICK, buffer=2, refuses=True, sound_speed=1500.0)
+    config = NetemConfig(seed=1, tick_ns=TICK_NS, round_ticks=1, vehicles=(1, 2, 3), links=LINKS,
+                         conditions=dict.fromkeys(LINKS, PERFECT), acoustic=acoustic)  # fmt: skip
+    relay = Relay(config, BEGIN_NS, modems={i: Listener(i) for i in config.vehicles})
+    relay.places.update(PLACES)
+    request = ModemRequest(1, 1, 0, 0, b"hello", "t", b"head")
+    relay.take(RobotMessage(1, MODEM, "modem/0", b"hello", BEGIN_NS, request))
+    frames = {due.dst: relay.frame_of(due) for due in relay.handed(BEGIN_NS + 10**9)}
+    for dst, range_m in ((2, 150.0), (3, 300.0)):
+        frame = frames[dst]
+        assert frame is not None and frame.head == b"head" and frame.away == (-range_m, 0.0, 0.0)
+        assert frame.level.received == pytest.approx(acoustic.received_level(range_m))
+        assert frame.level.snr == pytest.approx(acoustic.snr(range_m))

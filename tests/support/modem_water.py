@@ -9,12 +9,13 @@ from time import monotonic_ns
 from waiting import wait_for
 
 from fleet.addons.robots.modems.modem import ModemCore, ModemLanguage
-from netem.endpoint import HeardFrame, ModemRequest, Sea, SentFrame
+from netem.endpoint import HeardFrame, Level, ModemRequest, Sea, SentFrame
 from netem.modem import Modem
 
 LIMIT_S = 30.0
 MODEM = Modem(800.0, 0.0, 25e3, 4e3, 190.0, 0.0, 3000.0, 6000.0, 64, 6.0, 10.0, 10.0)
 SPEED = 1500.0
+LEVEL = Level(120.0, 20.0)
 
 
 class ModemClient:
@@ -38,7 +39,7 @@ class Water:
         self.begin_ns = monotonic_ns()
         self.core = core or ModemCore(1, language)
         self.core.listen()
-        sea = Sea(MODEM, 64, 2, 0.0, SPEED, self.begin_ns, "auv1", {"auv1": 1, "auv2": 2, "buoy": 3},
+        sea = Sea(MODEM, 64, 2, 0.0, SPEED, self.begin_ns, 1, "auv1", {"auv1": 1, "auv2": 2, "buoy": 3},
                   self.given.append, lambda: (10.0, 20.0, 5.0), self.moved.append)  # fmt: skip
         self.core.begin(sea)
 
@@ -64,6 +65,10 @@ class Water:
     def at(self, s: float) -> int:
         return self.begin_ns + round(s * 1e9)
 
-    def brings(self, src: int, payload: bytes, *, to: int = 1, what: int = 0, left: float, came: float) -> None:
+    def brings(
+        self, src: int, payload: bytes, *, head: bytes = b"", to: int = 1, what: int = 0, left: float, came: float,
+        level: Level = LEVEL, away: tuple[float, ...] | None = None,
+    ) -> None:  # fmt: skip
         """Let a payload arrive."""
-        self.core.heard(HeardFrame(src, to, what, payload, self.at(left), self.at(came), self.at(came + 0.1)))
+        times = (self.at(left), self.at(came), self.at(came + 0.1))
+        self.core.heard(HeardFrame(src, to, what, payload, *times, head, level, away))

@@ -1,7 +1,8 @@
 """What a modem is given to send, and payloads that it sends until their receiver has acknowledged them.
 
-A frame of these has three bytes before its data: whether it is an acknowledgement, its number, and the protocol number
-of the payload. A receiver takes each number once, since only its acknowledgement may have been lost.
+The head of a frame of these begins with three bytes: whether it is an acknowledgement, or wants one, its number, and
+the protocol number of the payload. A receiver takes each number once, since only its acknowledgement may have been
+lost.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from dataclasses import dataclass, replace
 
 from netem.endpoint import HeardFrame, Sea, SentFrame
 
-HEADER = 3  # bytes
+_HEAD = 3  # bytes
 CLEARED = "cleared"
-_ACKNOWLEDGEMENT, _CARRIED = 0, 1
+_ACKNOWLEDGEMENT, _CARRIED, _ALONE = 0, 1, 2
 _NUMBERS = 256
 _REMEMBERED = 128  # numbers of a sender that are not taken again
 _WAIT_S = 2.0  # beside travel and airtime, until an acknowledgement counts as missing
@@ -29,6 +30,8 @@ class Job:
     what: int  # protocol number
     sent: Callable[[SentFrame], None] = lambda _: None
     dropped: Callable[[str], None] = lambda _: None  # gets the reason: a cause, or CLEARED
+    head: bytes = b""  # see `netem.endpoint.ModemRequest`
+    at_ns: int | None = None  # when it has to begin, of CLOCK_MONOTONIC; None: when it is its turn
 
 
 @dataclass(slots=True)
@@ -64,18 +67,22 @@ class Deliveries:
 
         def sent(frame: SentFrame) -> None:
             job.sent(frame)
-            air_s, tried = (frame.airtime_ns + self._sea.modem.airtime_ns(HEADER)) / 1e9, one.tried
+            air_s, tried = (frame.airtime_ns + self._sea.modem.airtime_ns(0)) / 1e9, one.tried
             wait_s = self._sea.there_and_back_s + air_s + self._sea.access_s + _WAIT_S
             self._after(wait_s, lambda: self._late(number, one, tried))
 
-        payload = bytes((_CARRIED, number, job.what)) + job.payload
-        frame = replace(job, payload=payload, what=self._link, sent=sent)
+        head = bytes((_CARRIED, number, job.what)) + job.head
+        frame = replace(job, head=head, what=self._link, sent=sent)
         frame.dropped = lambda _: self._late(number, one, one.tried)
         one = _Waiting(frame, then, tries, 1)
         if why := submit(frame):
             return why
         self._last, self._waiting[number] = number, one
         return ""
+
+    def unacknowledged(self, job: Job) -> Job:
+        """A payload as a frame of the link that nobody acknowledges."""
+        return replace(job, head=bytes((_ALONE, 0, job.what)) + job.head, what=self._link)
 
     def clear(self) -> None:
         """Give up everything that waits for its acknowledgement."""
@@ -85,19 +92,21 @@ class Deliveries:
 
     def heard(self, frame: HeardFrame) -> HeardFrame | None:
         """Take a frame of the link. Returns what it carries; None: nothing that is new."""
-        if len(frame.payload) < HEADER:
+        if len(frame.head) < _HEAD:
             return None
-        kind, number, what = frame.payload[:HEADER]
+        kind, number, what = frame.head[:_HEAD]
         if kind == _ACKNOWLEDGEMENT:
             if number in self._waiting and self._waiting[number].frame.to == frame.src:
                 self._waiting.pop(number).then(True)
             return None
-        self._put(Job(bytes((_ACKNOWLEDGEMENT, number, what)), frame.src, self._link))
+        if kind == _ALONE:
+            return frame._replace(what=what, head=frame.head[_HEAD:])
+        self._put(Job(b"", frame.src, self._link, head=bytes((_ACKNOWLEDGEMENT, number, what))))
         taken = self._taken.setdefault(frame.src, deque(maxlen=_REMEMBERED))
         if number in taken:
             return None
         taken.append(number)
-        return frame._replace(what=what, payload=frame.payload[HEADER:])
+        return frame._replace(what=what, head=frame.head[_HEAD:])
 
     def _late(self, number: int, one: _Waiting, tried: int) -> None:
         if self._waiting.get(number) is not one or tried != one.tried:

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import re
 
-from fleet.addons.robots.modems.delivery import HEADER, Job
+from fleet.addons.robots.modems.delivery import Job
 from fleet.addons.robots.modems.line_port import Client
 from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
+from netem.endpoint import EVERYBODY, HeardFrame, Level, SentFrame, Sound
 
 BROADCAST = 255
 MOST_MESSAGE = 64  # bytes of an instant message
@@ -162,20 +162,20 @@ class EvoLogics:
         """See `ModemLanguage`."""
         self._tell(b"RECVSTART")
 
-    def heard(self, frame: HeardFrame, *, answered: bool) -> None:
+    def heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """See `ModemLanguage`. Levels are not known to the channel: the signal strength is 0."""
         data, to = frame.payload, frame.to or BROADCAST
-        duration_us = self._modem.sea.modem.airtime_ns(len(data) + HEADER * answered) // 1000
+        duration_us = self._modem.sea.modem.airtime_ns(len(data)) // 1000
         self._tell(b"RECVEND,%d,%d,0,100" % (self._modem.us(frame.end_ns), duration_us))
         if frame.what == INSTANT:
-            flag = b"ack" if answered else b"noack"
+            flag = b"ack" if linked else b"noack"
             self._tell(b"RECVIM,%d,%d,%d,%b,%d,0,100,0.0000,%b" % (len(data), frame.src, to, flag, duration_us, data))
         elif frame.what == BURST:
             rate = round(8e6 * len(data) / max(1, duration_us))
             head = b"RECV,%d,%d,%d,%d,0,100,%d,0.0000," % (len(data), frame.src, to, rate, self._modem.travel_us)
             self._tell(head + data)
 
-    def spoiled(self, cause: Cause, at_ns: int) -> None:
+    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """See `ModemLanguage`."""
         self._tell(b"RECVFAILED,0.0000,0,0")
 

@@ -19,7 +19,7 @@ from fleet.addons.robots.modems.line_port import Client
 from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
 from fleet.errors import FleetError
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, HeardFrame, SentFrame, Sound
+from netem.endpoint import EVERYBODY, HeardFrame, Level, SentFrame, Sound
 
 BROADCAST = 127
 BEGIN = datetime(2026, 1, 1)  # of the modem's clock, as of that of programs in lockstep
@@ -301,7 +301,7 @@ class MicroModem:
     def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`. Its language has no word for it."""
 
-    def heard(self, frame: HeardFrame, *, answered: bool) -> None:
+    def heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """See `ModemLanguage`."""
         to = frame.to or BROADCAST
         if frame.what == MINI:
@@ -353,7 +353,7 @@ class MicroModem:
             bits = sum(1 << (number - 1) for number in coming.frames)
             self._modem.submit(Job(bytes((bits & 255,)), src, ANSWER))
 
-    def spoiled(self, cause: Cause, at_ns: int) -> None:
+    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """See `ModemLanguage`."""
         self._say("CAMSG", "BAD_CRC", 1)
         self._statistics(1, 0, 0, self._modem.address, 1, 1, at_ns)

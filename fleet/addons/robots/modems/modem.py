@@ -1,6 +1,7 @@
 """The core of a modem that programs open: its address, its queue, what it is doing, and ranging.
 
-Payloads wait here in order, and one at a time is in the channel. So a full queue can refuse, and be emptied.
+Payloads wait here in order, and one at a time is in the channel. So a full queue can refuse, and be emptied. Beside
+them wait those whose program has asked for a time to begin.
 
 A range is measured by a request and an answer. The answer says when the request had come, so that the time in between
 can be taken off, as a modem with a fixed turn-around does.
@@ -29,7 +30,7 @@ from typing import Any, Literal, Protocol
 from fleet.addons.robots.modems.delivery import CLEARED, Deliveries, Job
 from fleet.addons.robots.modems.line_port import LinePort, Translator
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, MOST_ADDRESS, HeardFrame, ModemRequest, Sea, SentFrame, Sound
+from netem.endpoint import EVERYBODY, MOST_ADDRESS, UNKNOWN, HeardFrame, Level, ModemRequest, Sea, SentFrame, Sound
 
 # Protocol numbers of what modems say to each other. Programs have 0 to 63, so none of theirs means that by chance.
 FIRST_OWN = 64
@@ -37,6 +38,9 @@ RANGING = FIRST_OWN
 _REQUEST = Struct("<B")  # its number
 _ANSWER = Struct("<Bq")  # the number of the request, and when it had come [ns]
 _MOST_OWN = 64  # answers and second tries that wait at most
+# What has a time is given to the channel so long before it, since that takes payloads at the ticks of the run.
+_LEAD_NS = 50_000_000
+_MOST_REMARKS = 8
 SLACK_S = 5.0  # beside travel and airtime, until a range counts as missing: others may be on the air
 
 
@@ -48,13 +52,13 @@ class ModemLanguage(Translator, Protocol):
     def begin(self, modem: ModemCore) -> None:
         """The channel carries from now on."""
 
-    def heard(self, frame: HeardFrame, *, answered: bool) -> None:
-        """A payload has arrived for this modem, or for all. `answered`: it came by the link, and was acknowledged."""
+    def heard(self, frame: HeardFrame, *, linked: bool) -> None:
+        """A payload has arrived for this modem, or for all. `linked`: it came by the link."""
 
     def begins(self, sound: Sound) -> None:
         """A transmission of another modem begins to be heard."""
 
-    def spoiled(self, cause: Cause, at_ns: int) -> None:
+    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """A reception has failed."""
 
 
@@ -92,9 +96,12 @@ class ModemCore:
         self.number, self._make, self._where, self._terminal = number, make, (host, port), terminal
         self.sea: Sea = None  # type: ignore[assignment]  # `begin` sets it, before anything asks
         self._waiting: deque[Job] = deque()
-        self._now: Job | None = None  # in the channel
-        self._count = 0  # of payloads that were given to the channel, of which this is the last
+        self._timed: list[Job] = []  # wait for their time
+        self._given: dict[int, Job] = {}  # in the channel, by tag
+        self._now: int | None = None  # the one of them that has no time
+        self._count = 0  # of payloads that were given to the channel
         self._sends_until_ns = self._hears_until_ns = self._refused = 0
+        self._remarks: list[str] = []
         self._deliveries: Deliveries | None = None
         self.travel_us = 0  # of sound from the modem that was heard last
         self._ranging: list[_Ranging] = []
@@ -134,9 +141,9 @@ class ModemCore:
         """See `ModemEndpoint`."""
         self.line_port.post(lambda: self._hears(frame))
 
-    def spoiled(self, cause: Cause, at_ns: int) -> None:
+    def spoiled(self, cause: Cause, at_ns: int, level: Level = UNKNOWN) -> None:
         """See `ModemEndpoint`."""
-        self.line_port.post(lambda: self.language.spoiled(cause, at_ns))
+        self.line_port.post(lambda: self.language.spoiled(cause, at_ns, level))
 
     def reached(self, sound: Sound) -> None:
         """See `ModemEndpoint`."""
@@ -149,6 +156,7 @@ class ModemCore:
         if self._refused:
             some = f"{self._refused} payload{'s' if self._refused > 1 else ''}"
             said.append(f"its modem refused {some}, since {self.sea.queue} were waiting")
+        said += self._remarks
         return "; ".join(said)
 
     def close(self) -> None:
@@ -168,7 +176,7 @@ class ModemCore:
     @property
     def waits(self) -> bool:
         """Whether something waits for its transmission."""
-        return self._now is not None or bool(self._waiting)
+        return bool(self._given or self._waiting or self._timed)
 
     @property
     def now_us(self) -> int:
@@ -179,18 +187,58 @@ class ModemCore:
         """A time of CLOCK_MONOTONIC [ns] as a time by its clock [us]. It is 0 before the run begins."""
         return max(0, at_ns - self.sea.begin_ns) // 1000
 
+    def at_ns(self, us: int) -> int:
+        """A time by its clock [us] as a time of CLOCK_MONOTONIC [ns]."""
+        return self.sea.begin_ns + us * 1000
+
+    def remark_once(self, text: str) -> None:
+        """Tell something in the result of the run; of many different things the first few."""
+        if text not in self._remarks and len(self._remarks) < _MOST_REMARKS:
+            self._remarks.append(text)
+
     def submit(self, *jobs: Job) -> str:
         """Take payloads for transmission, all or none. Returns why not; empty: they wait, or are on their way."""
         for job in jobs:
-            if len(job.payload) > self.sea.mtu:
-                return f"{len(job.payload)} bytes are more than the MTU of {self.sea.mtu}"
-            if not EVERYBODY <= job.to <= MOST_ADDRESS:
-                return f"there is no address {job.to}: they are 1 to {MOST_ADDRESS}"
+            if why := self._unfit(job):
+                return why
         if len(jobs) > self.sea.queue + (self._now is None) - len(self._waiting):
             self._refused += len(jobs)
             return "the queue is full"
         for job in jobs:
             self._put(job)
+        return ""
+
+    def submit_at(self, job: Job, at_ns: int) -> str:
+        """Take a payload that begins at a time, whoever's turn it is: at the first tick of the run then.
+
+        Args:
+            job: the payload.
+            at_ns: when its transmission begins [ns, CLOCK_MONOTONIC].
+
+        Returns:
+            why that cannot be; empty: it waits, or is on its way.
+        """
+        now = monotonic_ns()
+        if why := self._unfit(job):
+            return why
+        if self.sea.modem.tries:
+            return "its modem tells one neighbour after the other, and so begins at no time that is asked for"
+        if at_ns < now:
+            return f"the time is past: it is {self.us(now)} us, and {self.us(at_ns)} us were asked for"
+        if len(self._timed) >= self.sea.queue:
+            self._refused += 1
+            return "the queue is full"
+        job.at_ns = at_ns
+        self._timed.append(job)
+        self._at(at_ns - _LEAD_NS, lambda: self._give_timed(job))
+        return ""
+
+    def _unfit(self, job: Job) -> str:
+        """Why a payload can never be sent; empty: it can."""
+        if len(job.payload) > self.sea.mtu:
+            return f"{len(job.payload)} bytes are more than the MTU of {self.sea.mtu}"
+        if not EVERYBODY <= job.to <= MOST_ADDRESS:
+            return f"there is no address {job.to}: they are 1 to {MOST_ADDRESS}"
         return ""
 
     def deliver(self, job: Job, tries: int, then: Callable[[bool], None]) -> str:
@@ -199,9 +247,14 @@ class ModemCore:
         assert self._deliveries is not None
         return self._deliveries.send(job, tries, then, self.submit)
 
+    def unacknowledged(self, job: Job) -> Job:
+        """A payload as one of the link that nobody acknowledges. The language has a link."""
+        assert self._deliveries is not None
+        return self._deliveries.unacknowledged(job)
+
     def clear(self) -> None:
         """Give up what waits, and what waits for its acknowledgement; what is in the channel goes on."""
-        waiting, self._waiting = self._waiting, deque()
+        waiting, self._waiting, self._timed = [*self._waiting, *self._timed], deque(), []
         if self._deliveries is not None:
             self._deliveries.clear()
         for job in waiting:
@@ -247,25 +300,41 @@ class ModemCore:
 
     def _go_on(self) -> None:
         if self._now is None and self._waiting:
-            job = self._now = self._waiting.popleft()
-            self._count += 1
-            self.sea.send(ModemRequest(self.number, self.address, job.to, job.what, job.payload, self._count))
+            self._now = self._give(self._waiting.popleft())
+
+    def _give(self, job: Job) -> int:
+        """Give the channel a payload. Returns its tag."""
+        tag = self._count = self._count + 1
+        self._given[tag] = job
+        self.sea.send(ModemRequest(self.number, self.address, job.to, job.what, job.payload, tag, job.head, job.at_ns))
+        return tag
+
+    def _give_timed(self, job: Job) -> None:
+        for number, one in enumerate(self._timed):
+            if one is job:  # else it was cleared
+                del self._timed[number]
+                self._give(job)
+                return
 
     def _has_sent(self, frame: SentFrame) -> None:
-        job = self._now
-        if job is None or frame.tag != self._count:
-            return  # a modem with tries transmits it to each neighbour
-        self._now, self._sends_until_ns = None, frame.at_ns + frame.airtime_ns
-        job.sent(frame)
-        self._go_on()
+        job = self._over(frame.tag)
+        if job is not None:
+            self._sends_until_ns = max(self._sends_until_ns, frame.at_ns + frame.airtime_ns)
+            job.sent(frame)
+            self._go_on()
 
     def _was_dropped(self, tag: Any, cause: Cause) -> None:
-        job = self._now
-        if job is None or tag != self._count:
-            return
-        self._now = None
-        job.dropped(str(cause))
-        self._go_on()
+        job = self._over(tag)
+        if job is not None:
+            busy = job.at_ns is not None and cause is Cause.QUEUE
+            job.dropped("the modem was still sending something else at that time" if busy else str(cause))
+            self._go_on()
+
+    def _over(self, tag: Any) -> Job | None:
+        """Take a payload out of the channel. None: it is out of it, as a modem with tries sends it several times."""
+        if tag == self._now:
+            self._now = None
+        return self._given.pop(tag, None)
 
     def _hears_begin(self, sound: Sound) -> None:
         self._hears_until_ns = max(self._hears_until_ns, sound.end_ns)
@@ -278,9 +347,9 @@ class ModemCore:
         self.travel_us = (frame.begin_ns - frame.sent_ns) // 1000
         if self._deliveries is not None and frame.what == self.language.link:
             if (carried := self._deliveries.heard(frame)) is not None:
-                self.language.heard(carried, answered=True)
+                self.language.heard(carried, linked=True)
         elif frame.what != RANGING:
-            self.language.heard(frame, answered=False)
+            self.language.heard(frame, linked=False)
         elif len(frame.payload) == _REQUEST.size:
             self._put(Job(_ANSWER.pack(frame.payload[0], frame.begin_ns), frame.src, RANGING))
         elif len(frame.payload) == _ANSWER.size:

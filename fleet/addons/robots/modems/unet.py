@@ -9,15 +9,15 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from itertools import count
 from typing import Any
 
-from fleet.addons.robots.modems.delivery import HEADER, Job
+from fleet.addons.robots.modems.delivery import Job
 from fleet.addons.robots.modems.line_port import Client
 from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
+from fleet.addons.robots.modems.unet_fields import CONTROL, DATA, WrongFieldError, place_of, read_frame, read_number
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, MOST_ADDRESS, HeardFrame, SentFrame, Sound
+from netem.endpoint import EVERYBODY, MOST_ADDRESS, HeardFrame, Level, SentFrame, Sound
 
 _UNET = "org.arl.unet"
 _SERVICE = f"{_UNET}.Services."
@@ -34,9 +34,7 @@ SERVICES = {
     f"{_SERVICE}LINK": [LINK],
 }
 AGENTS = (NODE, ADDRESSES, PHYSICAL, RANGER, LINK)
-CONTROL, DATA = 1, 2  # types of frames, and the indices of their parameters
 _SETTABLE = {(NODE, "location"), (NODE, "address")}
-_FARTHEST_M = 1e7  # from the origin
 _MOST_TRIES = 3  # of the link, where the modem itself does not acknowledge
 # fjagepy 2.2 drops an answer that comes before its own thread waits for it, and raises KeyError. A container in Java is
 # slower than that, and so are we.
@@ -141,7 +139,10 @@ class Unet:
         if handler is None:
             reply.perform("NOT_UNDERSTOOD")
             return
-        handler(reply, data)
+        try:
+            handler(reply, data)
+        except WrongFieldError as error:
+            reply.agree(str(error))
 
     def _clear(self, reply: _Reply, _: dict[str, Any]) -> None:
         self._modem.clear()
@@ -149,14 +150,15 @@ class Unet:
 
     def _resolve(self, reply: _Reply, data: dict[str, Any]) -> None:
         addresses = self._modem.sea.addresses
+        found: dict[str, Any] = {"perf": "FAILURE", "address": None}
         if (name := str(data.get("name"))) in addresses:
             address = self._modem.address if name == self._modem.sea.name else addresses[name]
-            reply.tell(f"{_UNET}.addr.AddressResolutionRsp", address=address, name=name)
-        else:
-            reply.perform("FAILURE")
+            found = {"address": address}
+        # `host` of unetpy 4.1 reads the address of any answer, and raises AttributeError at one without.
+        reply.tell(f"{_UNET}.addr.AddressResolutionRsp", name=name, **found)
 
     def _range(self, reply: _Reply, data: dict[str, Any]) -> None:
-        to = _whole(data.get("to"))
+        to = read_number(data, "to")
 
         def measured(range_m: float | None) -> None:
             if range_m is None:
@@ -169,52 +171,57 @@ class Unet:
 
     def _frame(self, reply: _Reply, data: dict[str, Any]) -> None:
         """A frame of the modem, or a datagram of the link, which is acknowledged if it asks for that."""
-        kind = CONTROL if _whole(data.get("type")) == CONTROL else DATA
-        to, payload = _whole(data.get("to")) or EVERYBODY, payload_of(data.get("data"))
-        what = _whole(data.get("protocol")) or 0
-        reliable = reply.agent == LINK and bool(data.get("reliability")) and to != EVERYBODY
+        modem, frame = self._modem, read_frame(data)
 
-        def sent(frame: SentFrame) -> None:
-            at_us, airtime_us = self._modem.us(frame.at_ns), frame.airtime_ns // 1000
-            reply.tell(f"{_UNET}.phy.TxFrameNtf", txTime=at_us, type=kind, duration=airtime_us / 1000)
+        def sent(begun: SentFrame) -> None:
+            at_us, airtime_us = modem.us(begun.at_ns), begun.airtime_ns // 1000
+            reply.tell(f"{_UNET}.phy.TxFrameNtf", txTime=at_us, type=frame.kind, duration=airtime_us / 1000)
 
         def dropped(reason: str) -> None:
-            reply.tell(f"{_UNET}.DatagramFailureNtf", to=to, reason=reason)
+            reply.tell(f"{_UNET}.DatagramFailureNtf", to=frame.to, reason=reason)
 
         def ends(delivered: bool) -> None:
-            reply.tell(f"{_UNET}.Datagram{'Delivery' if delivered else 'Failure'}Ntf", to=to)
+            reply.tell(f"{_UNET}.Datagram{'Delivery' if delivered else 'Failure'}Ntf", to=frame.to)
 
-        if payload is None:
-            reply.agree("the data are no bytes")
-        elif not 0 <= what < FIRST_OWN:
-            reply.agree(f"there is no protocol {what}: they are 0 to {FIRST_OWN - 1}")
-        elif reliable:
-            reply.agree(self._modem.deliver(Job(payload, to, what), self._tries, ends))
+        job = Job(frame.payload, frame.to, frame.what, sent, dropped)
+        if reply.agent == PHYSICAL:
+            timed = frame.at_us is not None
+            # A time that is past is refused, which is an assumption: the handbook says that frames may have a time.
+            reply.agree(modem.submit_at(job, modem.at_ns(frame.at_us or 0)) if timed else modem.submit(job))
+        elif frame.at_us is not None:
+            reply.agree(f"{LINK} sends when it can: a frame with a txTime goes to {PHYSICAL}")
+        elif frame.reliable and frame.to != EVERYBODY:
+            reply.agree(modem.deliver(Job(frame.payload, frame.to, frame.what), self._tries, ends))
         else:
-            reply.agree(self._modem.submit(Job(payload, to, what, sent, dropped)))
+            reply.agree(modem.submit(modem.unacknowledged(job)))
 
     @property
     def _tries(self) -> int:
         return self._modem.sea.modem.tries or _MOST_TRIES
 
     def _parameters(self, reply: _Reply, data: dict[str, Any]) -> None:
-        index = _whole(data.get("index"))
-        more = data.get("requests")
+        number = read_number(data, "index")
+        index, more = -1 if number is None else number, data.get("requests")
         asked = [one for one in [data, *(more if isinstance(more, list) else ())]
                  if isinstance(one, dict) and one.get("param")]  # fmt: skip
-        values = self._values(reply.agent, -1 if index is None else index)
-        for one in asked:
-            name = str(one["param"]).rpartition(".")[2]
-            if "value" in one and one["value"] is not None:
-                self._set(reply.agent, name, one["value"])
-                values = self._values(reply.agent, -1 if index is None else index)
+        wanted = {str(one["param"]).rpartition(".")[2]: one["value"] for one in asked if one.get("value") is not None}
+        values = self._values(reply.agent, index)
+        if unknown := [name for name in wanted if name not in values]:
+            # Not in silence: `unetpy` drops the answer to an assignment, so the result of the run tells it, too.
+            whose = reply.agent if index < 0 else f"{reply.agent}[{index}]"
+            self._modem.remark_once(f"its program set {whose}.{unknown[0]:.32}, which is no parameter of it")
+            reply.agree(f"{whose} has no parameter {', '.join(unknown):.200}; it has {', '.join(values) or 'none'}")
+            return
+        for name, value in wanted.items():
+            self._set(reply.agent, name, value)
+        values = self._values(reply.agent, index)
         readonly = [name for name in values if (reply.agent, name) not in _SETTABLE]
         names = [str(one["param"]) for one in asked] or list(values)  # with the package before them, as they were asked
         found = {name: values.get(name.rpartition(".")[2]) for name in names}
         first = next(iter(names), None)
         rest = {name: value for name, value in found.items() if name != first}
         reply.tell(
-            f"{_FJAGE}.param.ParameterRsp", index=-1 if index is None else index, param=first,
+            f"{_FJAGE}.param.ParameterRsp", index=index, param=first,
             value=found.get(first or ""), values=rest or None, readonly=readonly,
         )  # fmt: skip
 
@@ -230,17 +237,19 @@ class Unet:
             if index in (CONTROL, DATA):
                 return {"MTU": sea.mtu, "frameLength": sea.mtu, "dataRate": rate,
                         "frameDuration": sea.modem.airtime_ns(sea.mtu) / 1e9}  # fmt: skip
+            if index != -1:
+                return {}
             return {"MTU": sea.mtu, "RTU": sea.mtu, "busy": modem.state != "idle", "time": modem.now_us,
                     "rxEnable": True, "propagationSpeed": sea.sound_speed, "timestampedTxDelay": 0.0}  # fmt: skip
         if agent == LINK:
-            return {"MTU": sea.mtu - HEADER, "RTU": sea.mtu - HEADER, "reliability": True,
+            return {"MTU": sea.mtu, "RTU": sea.mtu, "reliability": True,
                     "maxRetries": self._tries, "phy": PHYSICAL}  # fmt: skip
         return {}
 
     def _set(self, agent: str, name: str, value: Any) -> None:
-        if (agent, name) == (NODE, "address") and EVERYBODY < (_whole(value) or 0) <= MOST_ADDRESS:
+        if (agent, name) == (NODE, "address") and _is_address(value):
             self._modem.address = value
-        elif (agent, name) == (NODE, "location") and (place := _place(value)) is not None:
+        elif (agent, name) == (NODE, "location") and (place := place_of(value)) is not None:
             east, north, up = self._location = place
             self._modem.sea.move((north, east, -up))
         else:
@@ -254,20 +263,19 @@ class Unet:
         """See `ModemLanguage`."""
         self._publish(f"{_UNET}.phy.RxFrameStartNtf", PHYSICAL, rxTime=self._modem.us(sound.begin_ns), type=DATA)
 
-    def heard(self, frame: HeardFrame, *, answered: bool) -> None:
-        """See `ModemLanguage`."""
+    def heard(self, frame: HeardFrame, *, linked: bool) -> None:
+        """See `ModemLanguage`. A frame of the modem is a RxFrameNtf, which is a DatagramNtf with more in it."""
         data = {
             "data": {"clazz": "[B", "data": base64.b64encode(frame.payload).decode()},
             "from": frame.src, "to": frame.to, "protocol": frame.what,
-            "rxTime": self._modem.us(frame.begin_ns),
+            "rxTime": self._modem.us(frame.begin_ns), "txTime": self._modem.us(frame.sent_ns),
         }  # fmt: skip
-        if answered:
+        if linked:
             self._publish(f"{_UNET}.DatagramNtf", LINK, (DATAGRAM_TOPIC,), **data)
         else:
-            data |= {"txTime": self._modem.us(frame.sent_ns), "type": DATA}
-            self._publish(f"{_UNET}.phy.RxFrameNtf", PHYSICAL, (DATAGRAM_TOPIC,), **data)
+            self._publish(f"{_UNET}.phy.RxFrameNtf", PHYSICAL, (DATAGRAM_TOPIC,), **data, type=DATA)
 
-    def spoiled(self, cause: Cause, at_ns: int) -> None:
+    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """See `ModemLanguage`."""
         at_us = self._modem.us(at_ns)
         self._publish(f"{_UNET}.phy.BadFrameNtf", PHYSICAL, rxTime=at_us, type=DATA)
@@ -296,29 +304,5 @@ class _Reply:
             self.perform("AGREE")
 
 
-def _place(value: Any) -> list[float] | None:
-    """Three lengths [m] that a vehicle may be at; None: it is something else."""
-    if not isinstance(value, list) or len(value) != 3:
-        return None
-    with suppress(TypeError, ValueError, OverflowError):
-        found = [float(length) for length in value]
-        return found if all(abs(length) <= _FARTHEST_M for length in found) else None
-    return None
-
-
-def _whole(value: Any) -> int | None:
-    return value if isinstance(value, int) and not isinstance(value, bool) else None
-
-
-def payload_of(data: Any) -> bytes | None:
-    """The bytes of a message: base64 or a list of numbers, signed as Java has them; None: it has none of that kind."""
-    try:
-        if data is None:
-            return b""
-        if isinstance(data, dict):
-            return base64.b64decode(data.get("data") or "")
-        if isinstance(data, list):
-            return bytes(int(number) & 255 for number in data)
-    except (ValueError, TypeError, OverflowError):
-        return None
-    return None
+def _is_address(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and EVERYBODY < value <= MOST_ADDRESS

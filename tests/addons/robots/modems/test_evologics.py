@@ -28,7 +28,7 @@ class Program(ModemClient):
 
 
 def acknowledges(request: ModemRequest) -> bytes:
-    return b"\0" + request.payload[1:3]
+    return b"\0" + request.head[1:3]
 
 
 @pytest.fixture
@@ -62,9 +62,9 @@ def test_settings_are_answered_in_both_modes(program: Program) -> None:
 def test_an_instant_message_is_delivered(program: Program, water: Water, command: bytes) -> None:
     assert program.asks(command) == b"+++AT*SENDIM:2:OK\r\n"
     request = water.sends()
-    assert (request.to, request.payload[3:]) == (2, b"hello")
+    assert (request.to, request.payload) == (2, b"hello")
     assert [program.hears().split(b",")[0] for _ in range(2)] == [b"+++AT:23:SENDSTART", b"+++AT:27:SENDEND"]
-    water.brings(2, acknowledges(request), what=EvoLogics.link, left=2.0, came=2.5)
+    water.brings(2, b"", head=acknowledges(request), what=EvoLogics.link, left=2.0, came=2.5)
     assert program.hears() == b"+++AT:13:DELIVEREDIM,2\r\n"
     assert program.asks(b"+++AT?T\n") == b"+++AT?T:6:500000\r\n"
 
@@ -84,12 +84,12 @@ def test_what_comes_is_told_and_acknowledged(program: Program, water: Water) -> 
     program.asks(b"+++AT?AL\n")
     water.core.reached(Sound(water.at(0.0), water.at(0.1)))
     assert program.hears() == b"+++AT:9:RECVSTART\r\n"
-    water.brings(3, bytes((1, 7, INSTANT)) + b"hi\n", what=EvoLogics.link, left=1.0, came=1.2)
+    water.brings(3, b"hi\n", head=bytes((1, 7, INSTANT)), what=EvoLogics.link, left=1.0, came=1.2)
     assert program.hears() == b"+++AT:27:RECVEND,1300000,60000,0,100\r\n"
     head, flag, *_ = program.hears().partition(b"ack")
     assert head == b"+++AT:39:RECVIM,3,3,1," and flag == b"ack"
     assert program.hears() == b"\r\n"  # the message had a line feed
-    assert water.next().payload == bytes((0, 7, INSTANT))
+    assert water.next().head == bytes((0, 7, INSTANT))
     water.brings(3, b"data", what=BURST, to=0, left=3.0, came=3.25)
     assert b"RECVEND" in program.hears()
     assert program.hears().startswith(b"+++AT:41:RECV,4,3,255,") and not water.given
@@ -100,9 +100,9 @@ def test_data_go_to_the_remote_address(program: Program, water: Water) -> None:
     assert program.asks(b"+++AT!AR3\n") == b"+++AT!AR:2:OK\r\n"
     program.says(b"some data\n")
     request = water.sends()
-    assert (request.to, request.payload[3:]) == (3, b"some data")
+    assert (request.to, request.payload) == (3, b"some data")
     assert program.hears().startswith(b"+++AT:") and program.hears().startswith(b"+++AT:")
-    water.brings(3, acknowledges(request), what=EvoLogics.link, left=2.0, came=2.5)
+    water.brings(3, b"", head=acknowledges(request), what=EvoLogics.link, left=2.0, came=2.5)
     assert program.hears() == b"+++AT:13:DELIVERED,1,3\r\n"
 
 

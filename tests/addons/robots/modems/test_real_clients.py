@@ -59,7 +59,9 @@ def test_a_program_for_unetstack_runs_as_it_is(tmp_path: Path) -> None:
     assert found["heard"] == [[number, 2, 3] for number in range(5)] and all(found["sent"])
     assert all(abs(us - 333_333) <= 1 for us in found["travel_us"])  # 500 m at 1500 m/s
     assert found["too_long"] is False and found["range_m"] == pytest.approx(500.0, abs=0.01)
-    assert (found["delivered"], found["by_link"]) == (2, [9, 9])
+    assert (found["delivered"], found["by_link"], found["nobody"]) == (2, [9, 9], None)
+    assert 0 <= found["began_us"] - found["asked_us"] < 10_000 + 1  # a tick of the run
+    assert found["past"].startswith("the time is past")
     assert result.ledger["auv1->auv2"].delivered >= 7
 
 

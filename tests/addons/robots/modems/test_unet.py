@@ -6,6 +6,7 @@ import base64
 import json
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from time import monotonic_ns
 from typing import Any
 
@@ -81,7 +82,7 @@ def test_parameters_that_programs_read(program: Program, water: Water) -> None:
     assert (program.get("phy", "MTU"), program.get("phy", "propagationSpeed")) == (64, SPEED)
     assert program.get("phy", "dataRate", index=2) == pytest.approx(800.0)
     assert program.get("phy", f"{UNET}.phy.PhysicalParam.busy") is False
-    assert program.get("uwlink", "MTU") == 61
+    assert program.get("uwlink", "MTU") == 64
     program.requests("org.arl.fjage.param.ParameterReq", "node", param="location", value=[3.0, 4.0, -7.0])
     assert program.message()[1]["value"] == [3.0, 4.0, -7.0]
     assert water.moved == [(4.0, 3.0, 7.0)]
@@ -142,6 +143,97 @@ def test_what_cannot_be_sent_is_refused_with_a_reason(program: Program, data: di
     program.requests(f"{UNET}.DatagramReq", "phy", **data)
     kind, said = program.message()
     assert (kind, said["perf"]) == ("RefuseRsp", "REFUSE") and reason in said["reason"]
+
+
+def test_a_frame_with_a_time_begins_then(program: Program, water: Water) -> None:
+    """It is given to the channel shortly before, and what waits for its turn goes by."""
+    at_us = program.get("phy", "time") + 300_000
+    program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=at_us)
+    program.requests(f"{UNET}.DatagramReq", "phy", to=2, data=[2])
+    assert [program.message()[1]["perf"] for _ in range(2)] == ["AGREE"] * 2
+    assert water.next().payload == b"\x02"
+    request = water.next()
+    assert (request.payload, request.at_ns) == (b"\x01", water.begin_ns + at_us * 1000)
+    water.core.sent(SentFrame(request.tag, request.at_ns or 0, 100_000_000))
+    kind, data = program.message()
+    assert (kind, data["txTime"]) == ("TxFrameNtf", at_us)
+
+
+def test_a_time_that_cannot_be_kept_is_refused_or_told(program: Program, water: Water) -> None:
+    program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=1)
+    kind, data = program.message()
+    assert kind == "RefuseRsp" and data["reason"].startswith("the time is past: it is ")
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[1], txTime=10**9)
+    assert "goes to phy" in program.message()[1]["reason"]
+    for _ in range(3):
+        program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=10**12)
+    assert [program.message()[1]["perf"] for _ in range(3)] == ["AGREE", "AGREE", "REFUSE"]
+    program.requests(f"{UNET}.ClearReq", "phy")
+    assert [program.message()[1].get("reason") for _ in range(3)] == ["cleared", "cleared", None]
+    at_us = program.get("phy", "time") + 60_000
+    program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=at_us)
+    assert program.message()[1]["perf"] == "AGREE"
+    water.core.dropped(water.next().tag, Cause.QUEUE)
+    assert program.message()[1]["reason"] == "the modem was still sending something else at that time"
+
+
+def test_a_modem_with_tries_keeps_no_time(program: Program, water: Water) -> None:
+    water.core.sea = water.core.sea._replace(modem=replace(water.core.sea.modem, tries=3))
+    program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=10**12)
+    assert "begins at no time" in program.message()[1]["reason"]
+
+
+@pytest.mark.parametrize(("to", "address"), [("2", 2), (2.0, 2), (2, 2), (0, 0), (None, 0)])
+def test_an_address_is_what_is_clearly_a_number(program: Program, water: Water, to: Any, address: int) -> None:
+    """Else a message for one goes to all."""
+    for agent in ("phy", "uwlink"):
+        program.requests(f"{UNET}.DatagramReq", agent, to=to, protocol="32", data=[1])
+        assert program.message()[1]["perf"] == "AGREE"
+        assert water.sends().to == address and program.message()[0] == "TxFrameNtf"
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("to", "two"), ("to", 2.5), ("to", True), ("to", [2]), ("to", ""), ("to", "9" * 5000), ("to", float("nan")),
+     ("to", float("inf")), ("protocol", "data"), ("type", {}), ("txTime", "now")],
+)  # fmt: skip
+def test_what_is_no_number_is_refused_and_nothing_is_sent(
+    program: Program, water: Water, field: str, value: Any
+) -> None:
+    program.requests(f"{UNET}.phy.TxFrameReq", "phy", **{"data": [1], field: value})
+    kind, data = program.message()
+    assert kind == "RefuseRsp" and data["reason"].startswith(f"{field} is a whole number, got ")
+    program.requests(f"{UNET}.localization.RangeReq", "ranging", to=value)
+    assert program.message()[0] == "RefuseRsp" and not water.given
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "reason"),
+    [("type", 3, "no frame type 3"), ("reliability", "yes", "reliability is true or false, got 'yes'")],
+)
+def test_a_field_without_such_a_value_is_refused(program: Program, field: str, value: Any, reason: str) -> None:
+    program.requests(f"{UNET}.DatagramReq", "uwlink", **{"data": [1], field: value})
+    assert reason in program.message()[1]["reason"]
+
+
+@pytest.mark.parametrize(("agent", "index", "name"), [("phy", -1, "powerLevel"), ("phy", 3, "MTU"), ("arp", -1, "x")])
+def test_a_parameter_that_does_not_exist_is_not_set_in_silence(
+    program: Program, water: Water, agent: str, index: int, name: str
+) -> None:
+    """The answer says so, and the result of the run, since a client may drop the answer."""
+    kind = "org.arl.fjage.param.ParameterReq"
+    program.requests(kind, agent, param=name, value=5, index=index)
+    whose = agent if index < 0 else f"{agent}[{index}]"
+    assert program.message()[1]["reason"].startswith(f"{whose} has no parameter {name}; it has ")
+    assert water.core.remark == f"its program set {whose}.{name}, which is no parameter of it"
+    assert program.get(agent, name, index) is None  # a question is answered, as before
+
+
+def test_one_unknown_parameter_of_several_sets_none(program: Program, water: Water) -> None:
+    more = [{"param": "nothing", "value": 1}]
+    kind = "org.arl.fjage.param.ParameterReq"
+    program.requests(kind, "node", param="location", value=[3.0, 4.0, -7.0], requests=more)
+    assert program.message()[0] == "RefuseRsp" and not water.moved
 
 
 def test_datagrams_wait_in_order_and_a_full_queue_refuses(program: Program, water: Water) -> None:
@@ -214,23 +306,54 @@ def test_the_link_acknowledges_and_tries_again(program: Program, water: Water) -
     program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, protocol=32, data=[7], reliability=True)
     assert program.message()[1]["perf"] == "AGREE"
     request = water.sends()
-    kind, number, what = request.payload[:3]
-    assert (request.what, kind, what, request.payload[3:]) == (Unet.link, 1, 32, b"\x07")
-    water.brings(2, bytes((0, number, what)), what=Unet.link, left=2.0, came=2.2)
+    kind, number, what = request.head
+    assert (request.what, kind, what, request.payload) == (Unet.link, 1, 32, b"\x07")
+    water.brings(2, b"", head=bytes((0, number, what)), what=Unet.link, left=2.0, came=2.2)
     kind, data = program.message()
     assert (kind, data["to"]) == ("DatagramDeliveryNtf", 2)
+
+
+def test_a_datagram_of_the_link_is_one_of_the_link_where_it_arrives(program: Program, water: Water) -> None:
+    """Also without an acknowledgement: programs that listen to the link alone hear it."""
+    program.say(action="wantsMessagesFor", agentIDs=["#uwlink__ntf"])
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, protocol=32, data=[7])
+    assert program.message()[1]["perf"] == "AGREE"
+    request = water.sends(at_s=1.5)
+    assert program.message()[0] == "TxFrameNtf"  # for programs that wait until it has left
+    water.brings(2, request.payload, head=request.head, what=request.what, left=1.5, came=1.7)
+    kind, data = program.message()
+    assert (kind, data["sender"], data["protocol"]) == ("DatagramNtf", "uwlink", 32)
+    assert (data["txTime"], data["rxTime"]) == (1_500_000, 1_700_000)
+    assert program.asks("containsAgent", agentID="phy")["answer"] is True and not water.given  # no acknowledgement
+
+
+@pytest.mark.parametrize("reliability", [True, False])
+@pytest.mark.parametrize("agent", ["phy", "uwlink"])
+def test_a_payload_beyond_the_mtu_is_refused(program: Program, water: Water, agent: str, reliability: bool) -> None:
+    """And one of the MTU is not: what the link adds takes no room of it."""
+    mtu = program.get(agent, "MTU")
+    for size, kind in ((mtu, "Message"), (mtu + 1, "RefuseRsp")):
+        program.requests(f"{UNET}.DatagramReq", agent, to=2, data=[1] * size, reliability=reliability)
+        assert program.message()[0] == kind
+
+
+def test_a_name_that_nobody_has_is_no_address(program: Program) -> None:
+    """Of any answer `host` of unetpy reads the address."""
+    program.requests(f"{UNET}.addr.AddressResolutionReq", "arp", name="nobody")
+    kind, data = program.message()
+    assert (kind, data["perf"], data["address"]) == ("AddressResolutionRsp", "FAILURE", None)
 
 
 def test_a_frame_of_the_link_that_comes_twice_is_told_once(program: Program, water: Water) -> None:
     program.say(action="wantsMessagesFor", agentIDs=[DATAGRAM_TOPIC])
     program.asks("services")
     for _ in range(2):
-        water.brings(2, bytes((1, 5, 32)) + b"x", what=Unet.link, left=1.0, came=1.2)
-        assert water.sends().payload == bytes((0, 5, 32))  # its acknowledgement
+        water.brings(2, b"x", head=bytes((1, 5, 32)), what=Unet.link, left=1.0, came=1.2)
+        assert water.sends().head == bytes((0, 5, 32))  # its acknowledgement
     assert program.message()[0] == "DatagramNtf"
     assert program.asks("containsAgent", agentID="phy")["answer"] is True  # and no second one came before
     for number in (6, 5):  # the acknowledgement of the older one was lost
-        water.brings(2, bytes((1, number, 32)) + b"x", what=Unet.link, left=2.0, came=2.2)
+        water.brings(2, b"x", head=bytes((1, number, 32)), what=Unet.link, left=2.0, came=2.2)
     assert program.message()[0] == "DatagramNtf"
     assert program.asks("containsAgent", agentID="phy")["answer"] is True
 
@@ -255,8 +378,8 @@ def test_what_is_lost_twice_before_it_left_is_one_try(program: Program, water: W
         water.core.dropped(tags[-1], Cause.MUTE)
         water.core.dropped(tags[-1], Cause.MUTE)
         water.core.sent(SentFrame(tags[0], water.at(1.0), 100_000_000))
-    number = water.sends().payload[1]
-    water.brings(2, bytes((0, number, 0)), what=Unet.link, left=2.0, came=2.2)
+    number = water.sends().head[1]
+    water.brings(2, b"", head=bytes((0, number, 0)), what=Unet.link, left=2.0, came=2.2)
     assert program.message()[0] == "DatagramDeliveryNtf" and len(set(tags)) == 2
 
 
@@ -303,9 +426,9 @@ def test_a_second_try_that_finds_no_room_at_all_has_failed(
 def test_an_acknowledgement_of_another_node_delivers_nothing(program: Program, water: Water) -> None:
     program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
     assert program.message()[1]["perf"] == "AGREE"
-    number = water.sends().payload[1]
+    number = water.sends().head[1]
     for src in (3, 2):
-        water.brings(src, bytes((0, number, 0)), what=Unet.link, left=2.0, came=2.2)
+        water.brings(src, b"", head=bytes((0, number, 0)), what=Unet.link, left=2.0, came=2.2)
     assert program.message()[0] == "DatagramDeliveryNtf"
     assert program.asks("containsAgent", agentID="phy")["answer"] is True  # and no second one came before
 

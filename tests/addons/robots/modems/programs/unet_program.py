@@ -3,11 +3,22 @@
 import json
 import sys
 
-from unetpy import DatagramDeliveryNtf, DatagramReq, Protocol, RangeNtf, RangeReq, Services, UnetSocket
+from unetpy import (
+    DatagramDeliveryNtf,
+    DatagramReq,
+    Protocol,
+    RangeNtf,
+    RangeReq,
+    Services,
+    TxFrameNtf,
+    TxFrameReq,
+    UnetSocket,
+)
 
 WAIT_MS = 60_000
 one, two = (UnetSocket("127.0.0.1", int(port)) for port in sys.argv[1:3])
 found = {"addresses": [one.getLocalAddress(), two.getLocalAddress()], "host": one.host("auv2")}
+found["nobody"] = one.host("nobody")
 found["mtu"] = one.agentForService(Services.PHYSICAL).MTU
 two.bind(Protocol.DATA)
 two.setTimeout(WAIT_MS)
@@ -23,6 +34,12 @@ link = one.agentForService(Services.LINK)
 gateway.request(DatagramReq(recipient=link, to=2, data=[9, 9], reliability=True), 5000)
 found["delivered"] = gateway.receive(DatagramDeliveryNtf, WAIT_MS).to
 found["by_link"] = two.receive().data
+phy = one.agentForService(Services.PHYSICAL)
+found["asked_us"] = phy.time + 2_000_000
+gateway.flush()
+gateway.request(TxFrameReq(recipient=phy, to=2, data=[5], txTime=found["asked_us"]), 5000)
+found["began_us"] = gateway.receive(TxFrameNtf, WAIT_MS).txTime
+found["past"] = gateway.request(TxFrameReq(recipient=phy, to=2, data=[5], txTime=found["asked_us"]), 5000).reason
 print(json.dumps(found))
 for each in (one, two):
     each.close()

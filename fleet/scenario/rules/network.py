@@ -187,7 +187,8 @@ def talking(parts: Parts, report: Report) -> None:
     except DataFileError:
         return  # reported already
     codec, size = spec.network.payload, SIZES[spec.network.payload]
-    built_in = any(choice.whole_agent is None for _, choice in parts.choices())
+    # What programs of others say has any length; their modems tell them the longest.
+    built_in = spec.nodes is None and any(choice.whole_agent is None for _, choice in parts.choices())
     if built_in and size > modem.mtu:
         compact = SIZES["compact"]
         hint = f"network.payload: compact has {compact} bytes" if codec == "full" and compact <= modem.mtu else ""
@@ -206,7 +207,8 @@ def talking(parts: Parts, report: Report) -> None:
             report.add(path, text, f"at least {answer + spec.tick / 1e9:.3g} s")
     if section.mac != "tdma" or section.slot is None:
         return
-    airtime, guard = modem.airtime_ns(size) if built_in else modem.airtime_ns(0), guard_ns(section)
+    least, guard = size if built_in else 1, guard_ns(section)
+    airtime = modem.airtime_ns(least)
     turns, asked = 0, ""
     if section.ranging is not None and section.ranging.method == "two-way":
         senders = [src for src, _ in parts.links]
@@ -214,7 +216,8 @@ def talking(parts: Parts, report: Report) -> None:
         turns, asked = most * turn_ns(section.ranging, modem), f", {most} receivers take turns to measure their range"
     if airtime + turns + guard > section.slot:
         text = (
-            f"{show_time(section.slot)} are too short: {size} bytes are {airtime / 1e9:g} s on the air{asked}, "
+            f"{show_time(section.slot)} are too short: {least} byte{'s are' if least > 1 else ' is'} "
+            f"{airtime / 1e9:g} s on the air{asked}, "
             f"and the guard is {show_time(guard)}"
         )
         report.add((*at, "slot"), text, f"at least {(airtime + turns + guard) / 1e9:g} s")

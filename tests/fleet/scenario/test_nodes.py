@@ -169,6 +169,16 @@ def test_modems_may_leave_their_ports_open() -> None:
     assert [node.modem.where for node in nodes.values() if node.modem is not None] == [0, 0, 0]
 
 
+def test_rules_about_payloads_of_vehicles_concern_no_programs() -> None:
+    """A slot holds a byte of theirs, and the modem of 32 bytes tells them its length."""
+    nodes = modems({"micromodem": 0}, {"micromodem": 0}, water=False)
+    acoustic = scenario(**nodes, network={"acoustic": {"modem": "fsk-80", "queue": 8}}).netem_config.acoustic
+    assert acoustic is not None and acoustic.modem.mtu == 32
+    slots = {"modem": "s2c", "mac": "tdma", "slot": "600 ms", "guard": "200 ms", "queue": 4}
+    assert scenario(**nodes, network={"acoustic": slots}).netem_config.acoustic is not None
+    assert "1 byte is 0.172102 s on the air" in mistakes(**nodes, network={"acoustic": slots | {"slot": "300 ms"}})
+
+
 @pytest.mark.parametrize(("mac", "airtimes"), [("aloha", 0.0), ("csma", 2.0)])
 def test_a_modem_with_a_queue_does_not_keep_programs_waiting(mac: str, airtimes: float) -> None:
     """For twenty vehicles that all send states the default is a minute, which programs of others took for a hang."""

@@ -158,6 +158,9 @@ class EvoLogics:
         self._waiting += answered
         return OK
 
+    def pinged(self, frame: HeardFrame) -> None:
+        """See `ModemLanguage`. Its language has no word for it."""
+
     def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`."""
         self._tell(b"RECVSTART")

@@ -1,35 +1,39 @@
 """The language of the WHOI Micro-Modem: sentences of NMEA 0183 on a serial line or TCP, of both generations.
 
-Written from "Micro-Modem Software Interface Guide" (WHOI, acomms.whoi.edu) and from what WHOI's own client takes
-(acomms 3.1 of PyPI). What is answered, and what is not, is in docs/guide/modems.md.
+Written from "Micro-Modem Software Interface Guide" (WHOI, acomms.whoi.edu), and from what two drivers send and take:
+WHOI's own client (acomms 3.1 of PyPI) and Goby3's (src/acomms/modemdriver/mm_driver.cpp). What is answered, and what
+is not, is in docs/guide/modems.md.
 
-The frames of a packet are sent one by one, and a lost one is a bad frame of the packet.
+The frames of a packet are sent one by one, and a lost one is a bad frame of the packet. What the modem says beside the
+data of a frame is its head: number of the packet, rate, flags, its own number, how many.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from functools import reduce
+from time import monotonic_ns
 from typing import NamedTuple
 
 from fleet.addons.robots.modems.delivery import Job
 from fleet.addons.robots.modems.line_port import Client
+from fleet.addons.robots.modems.micromodem_clock import ModemClock
 from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
 from fleet.errors import FleetError
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, Level, SentFrame, Sound
 
 BROADCAST = 127
-BEGIN = datetime(2026, 1, 1)  # of the modem's clock, as of that of programs in lockstep
 _MOST_SENTENCE = 2048  # bytes
 MINI, FRAME, ANSWER = (
     FIRST_OWN + 5,
     FIRST_OWN + 6,
     FIRST_OWN + 7,
 )  # protocol numbers: mini packets, frames of packets, acknowledgements
-_HEAD = 5  # bytes before the data of a frame: number of the packet, rate, flags, its own number, how many
+_HEAD = 5  # bytes
 _WANTS_ANSWER, _SECOND = 1, 2  # flags: acknowledged; a packet of the second generation (TDP)
 DATA_TIMEOUT_S = 2.0  # for the data of a frame that was asked for
 _LATE_S = 1.0  # after the last frame could have come, a packet with missing ones is told
@@ -45,7 +49,16 @@ class Rate(NamedTuple):
 RATES = {0: Rate(1, 32), 1: Rate(3, 64), 2: Rate(3, 64), 3: Rate(2, 256), 4: Rate(2, 256), 5: Rate(8, 256),
          6: Rate(6, 32)}  # fmt: skip
 SECOND_RATES = {1: Rate(3, 64), 3: Rate(2, 256), 5: Rate(8, 256)}  # of the second generation
-NAMES = ["SRC", "DBG", "ASD", "PCM", "AGN", "TXP", "IRE", "CST", "SNR", "REV", "DTO", "PTO", "TOA"]
+# Parameters before a program has set any. That those of messages are on is an assumption.
+DEFAULTS = {
+    "SRC": "0", "DBG": "0", "ASD": "0", "PCM": "0", "AGN": "0", "TXP": "1", "TXF": "1", "IRE": "0", "CST": "1",
+    "XST": "1", "SNR": "0", "REV": "1", "DTO": "0", "PTO": "0", "TOA": "0", "RXP": "1", "RXD": "1",
+}  # fmt: skip
+_NAME = re.compile(r"[A-Za-z0-9_.]{1,32}", re.ASCII)  # of three letters, or with dots (second generation)
+_MOST_NAMES = 256
+_YEARS = range(1970, 2100)
+_FIRMWARE = "3.0.0"
+_REBOOTED = ("INIT", "uuv-fleet"), ("AUV", _FIRMWARE)
 
 
 def checksum(text: str) -> str:
@@ -97,15 +110,15 @@ class MicroModem:
     link: int | None = None  # it acknowledges packets of several frames in its own way
 
     def __init__(self) -> None:
-        self._config = dict.fromkeys(NAMES, 0) | {"CST": 1, "REV": 1}
+        self._config = dict(DEFAULTS)
         self._packet: _Packet | None = None
         self._coming: dict[int, _Coming] = {}  # by sender
         self._count = self._packets = 0
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
-        self._modem = modem
-        self._config["SRC"] = modem.address
+        self._modem, self._date = modem, ModemClock(modem.sea.begin_ns)
+        self._config["SRC"] = str(modem.address)
         for client in modem.line_port.clients:
             self.opened(client)
 
@@ -114,8 +127,8 @@ class MicroModem:
     def opened(self, client: Client) -> None:
         """See `Translator`."""
         if hasattr(self, "_modem"):  # a terminal is opened before that
-            self._say_to(client, "CAREV", self._clock(), "INIT", "uuv-fleet")
-            self._say_to(client, "CAREV", self._clock(), "AUV", "3.0.0")
+            for what in _REBOOTED:
+                self._say_to(client, "CAREV", self._clock(), *what)
 
     def closed(self, client: Client) -> None:
         """See `Translator`."""
@@ -138,7 +151,7 @@ class MicroModem:
             handler(self, values)
         except WrongSentenceError as error:
             self._error(error.number, error.words)
-        except (ValueError, IndexError):
+        except (ValueError, IndexError, OverflowError):
             self._error(4, f"BAD PARAMETER IN {kind:.8}")
 
     def _error(self, number: int, words: str) -> None:
@@ -161,39 +174,91 @@ class MicroModem:
     # Commands.
 
     def _configure(self, values: list[str]) -> None:
-        name, number = values[0].upper(), int(values[1])
-        if name not in self._config:
+        name, value = _parameter(values[0]), values[1]
+        if name == "ALL":  # as factory-fresh; the address is that of the scenario
+            self._config = DEFAULTS | {"SRC": str(self._modem.address)}
+            self._say("CACFG", name, value)
+            return
+        if name in DEFAULTS:
+            int(value)
+        elif not value or not value.isprintable():
+            raise ValueError
+        if name == "SRC" and not 1 <= int(value) < BROADCAST:
+            raise WrongSentenceError(6, f"NO ADDRESS {value:.16}")
+        if name not in self._config and (not _NAME.fullmatch(name) or len(self._config) >= _MOST_NAMES):
             raise WrongSentenceError(7, f"UNKNOWN PARAMETER {name:.16}")
-        if name == "SRC" and not 1 <= number < BROADCAST:
-            raise WrongSentenceError(6, f"NO ADDRESS {number}")
-        self._config[name] = number
-        self._modem.address = self._config["SRC"]
-        self._say("CACFG", name, self._config[name])
+        self._config[name] = value
+        self._modem.address = int(self._config["SRC"])
+        self._say("CACFG", name, value)  # as it was written: Goby3 compares the texts
 
     def _query(self, values: list[str]) -> None:
-        name = values[0]
-        if name.upper() == "ALL":
+        name = _parameter(values[0])
+        if name in ("ALL", "TOP"):
             for each, value in self._config.items():
                 self._say("CACFG", each, value)
         elif name.lower() in ("info", "info.firmware_version"):
-            self._say("CACFG", "info.firmware_version", "3.0.0")
-        elif name.upper() in self._config:
-            self._say("CACFG", name.upper(), self._config[name.upper()])
+            self._say("CACFG", "info.firmware_version", _FIRMWARE)
+        elif name in self._config:
+            self._say("CACFG", name, self._config[name])
         else:
             raise WrongSentenceError(7, f"UNKNOWN PARAMETER {name:.16}")
+
+    def _is_on(self, name: str) -> bool:
+        """Whether a parameter lets its messages be said."""
+        return int(self._config[name]) != 0
+
+    def _sleep(self, values: list[str]) -> None:
+        """CCMSC to itself: it sleeps, and wakes up at once. Goby3 has it begin anew so."""
+        src, dst, mode = map(int, values[:3])
+        if (src, dst) != (self._modem.address, self._modem.address):
+            raise WrongSentenceError(14, "NO MODEM IS SENT TO SLEEP BY SOUND")
+        self._packet = None
+        self._coming.clear()
+        self._say("CAMSC", src, dst, mode)
+        if self._is_on("REV"):
+            for what in _REBOOTED:
+                self._say("CAREV", self._clock(), *what)
 
     def _level(self, _: list[str]) -> None:
         self._say("CAALQ", 0, 11)
 
     def _time(self, _: list[str]) -> None:
-        now = self._at(self._modem.now_us)
+        now = self._date.now
         self._say("CACLK", now.year, now.month, now.day, now.hour, now.minute, now.second)
+
+    def _tell_time(self, _: list[str]) -> None:
+        """CCTMQ: the date, who has set it, and what drives its seconds. The words for these are an assumption."""
+        source = "USER_CMD" if self._date.is_set else "NONE"
+        self._say("CATMQ", f"{self._date.now:%Y-%m-%dT%H:%M:%SZ}", source, "RTC")
+
+    def _set_time(self, values: list[str]) -> None:
+        """CCCLK: year, month, day, hour, minute and second, which may be 60 as the one to come."""
+        year, month, day, hour, minute, second = map(int, values[:6])
+        date = datetime(year, month, day, hour, minute) + timedelta(seconds=second)
+        self._set_date(date, lambda: self._time([]))
+
+    def _set_iso_time(self, values: list[str]) -> None:
+        """CCTMS: a date as ISO 8601 has it, and a mode. What drives the seconds is one thing here."""
+        date = datetime.fromisoformat(values[0].rstrip("Z"))  # acomms 3.1 writes two of them
+        if int(values[1]) not in (0, 1):
+            raise ValueError
+        self._set_date(date, lambda: self._say("CATMS", 0, f"{self._date.now:%Y-%m-%dT%H:%M:%SZ}"))
+
+    def _set_date(self, date: datetime, then: Callable[[], None]) -> None:
+        if date.year not in _YEARS:
+            raise WrongSentenceError(15, f"NO YEAR {date.year}")
+
+        def pulse() -> None:
+            self._date.set(date)
+            then()
+
+        self._modem.after(self._date.wait_s(), pulse)
 
     def _mini(self, values: list[str]) -> None:
         to, data = self._address(values[1]), bytes.fromhex(values[2].zfill(4))
         if len(data) != 2 or int.from_bytes(data) > 0x1FFF:
             raise WrongSentenceError(8, "A MINI PACKET HAS 13 BITS")
-        self._transmit(to, MINI, [data], 2)
+        self._transmit(to, MINI, [(b"", data)], 2, self._packet_sent(0, to, answered=False, frames=1, size=2))
         self._say("CAMUC", self._modem.address, to, data.hex().upper())
 
     def _ping(self, values: list[str]) -> None:
@@ -204,6 +269,7 @@ class MicroModem:
                 self._say("CAMSG", "PACKET_TIMEOUT", 0)
             else:
                 self._say("CAMPR", to, self._modem.address, f"{range_m / self._modem.sea.sound_speed:.4f}")
+                self._statistics(0, 0, to, self._modem.address, 1, 0, monotonic_ns())
 
         if why := self._modem.range_to(to, measured):
             raise WrongSentenceError(5, why.upper())
@@ -225,13 +291,14 @@ class MicroModem:
             return
         packet.asked += 1
         number = packet.asked
-        size = min(RATES[packet.rate].size, self._modem.sea.mtu - _HEAD)
+        size = min(RATES[packet.rate].size, self._modem.sea.mtu)
         self._say("CADRQ", self._clock(), self._modem.address, packet.to, int(packet.answered), size, number)
 
         def late() -> None:
             if self._packet is packet and len(packet.frames) < number:
                 self._packet = None
                 self._say("CAERR", self._clock(), "DATA_TIMEOUT", number)
+                self._packet_sent(packet.rate, packet.to, answered=packet.answered, frames=packet.count, mode=4)()
 
         self._modem.after(DATA_TIMEOUT_S, late)
 
@@ -239,7 +306,7 @@ class MicroModem:
         packet, data = self._packet, bytes.fromhex(values[3])
         if packet is None or len(packet.frames) >= packet.asked:
             raise WrongSentenceError(11, "NO DATA WERE ASKED FOR")
-        if len(data) > min(RATES[packet.rate].size, self._modem.sea.mtu - _HEAD):
+        if len(data) > min(RATES[packet.rate].size, self._modem.sea.mtu):
             raise WrongSentenceError(12, f"{len(data)} BYTES ARE TOO MANY FOR A FRAME")
         packet.answered |= bool(int(values[2]))
         packet.frames.append(data)
@@ -256,7 +323,7 @@ class MicroModem:
         data = bytes.fromhex(values[4])
         if rate not in SECOND_RATES:
             raise WrongSentenceError(10, f"RATE {rate} IS NOT THERE; THERE ARE {' '.join(map(str, SECOND_RATES))}")
-        most, size = SECOND_RATES[rate].frames, min(SECOND_RATES[rate].size, self._modem.sea.mtu - _HEAD)
+        most, size = SECOND_RATES[rate].frames, min(SECOND_RATES[rate].size, self._modem.sea.mtu)
         frames = [data[begin : begin + size] for begin in range(0, len(data), size)] or [b""]
         if len(frames) > most:
             raise WrongSentenceError(12, f"{len(data)} BYTES ARE TOO MANY: {most} FRAMES OF {size}")
@@ -270,17 +337,42 @@ class MicroModem:
 
         self._packets = (self._packets + 1) % 256
         heads = (bytes((self._packets, packet.rate, flags, n, packet.count)) for n in range(1, packet.count + 1))
-        self._transmit(packet.to, FRAME, [head + data for head, data in zip(heads, packet.frames, strict=True)], total)
+        told = self._packet_sent(
+            packet.rate, packet.to, answered=packet.answered, frames=packet.count, size=total, cycle=not flags & _SECOND
+        )
+        self._transmit(packet.to, FRAME, list(zip(heads, packet.frames, strict=True)), total, told)
 
-    def _transmit(self, to: int, what: int, payloads: list[bytes], size: int) -> None:
-        """Send some payloads, all or none, and say when the first begins and the last has ended."""
-        left, began = len(payloads), False
+    def _packet_sent(
+        self, rate: int, to: int, *, answered: bool, frames: int, size: int = 0, mode: int = 0, cycle: bool = False
+    ) -> Callable[[], None]:
+        """What says CAXST of version 6, twice for a `cycle` at rate 0, which begins with a packet of its own. Its
+        fields are those that acomms and Goby3 read. `mode`: 0 it was sent, 4 its data did not come."""
+
+        def say() -> None:
+            if not self._is_on("XST"):
+                return
+            modem, now = self._modem.sea.modem, self._date.now
+            date, time = f"{now:%Y%m%d}", f"{now:%H%M%S}.{now.microsecond // 100:04d}"
+            head = [6, date, time, int(self._date.is_set), mode, 0, round(modem.bandwidth), round(modem.carrier)]
+            whose = [rate, self._modem.address, to, int(answered), frames, 0 if mode else frames, 0, size]
+            for _ in range(2 if cycle and rate == 0 and not mode else 1):
+                self._say("CAXST", *head, *whose)
+
+        return say
+
+    def _transmit(
+        self, to: int, what: int, frames: list[tuple[bytes, bytes]], size: int, told: Callable[[], None]
+    ) -> None:
+        """Send some payloads with their heads, all or none, and say when the first begins and the last has ended.
+        `told` says what there is to say then."""
+        left, began = len(frames), False
 
         def sent(frame: SentFrame) -> None:
             nonlocal began
             if not began:
                 began = True
-                self._say("CATXP", size)
+                if self._is_on("TXP"):
+                    self._say("CATXP", size)
             ends(frame.airtime_ns / 1e9)
 
         def dropped(reason: str) -> None:
@@ -291,9 +383,14 @@ class MicroModem:
             nonlocal left
             left -= 1
             if began and not left:
-                self._modem.after(wait_s, lambda: self._say("CATXF", size))
+                self._modem.after(wait_s, over)
 
-        if why := self._modem.submit(*(Job(each, _to(to), what, sent, dropped) for each in payloads)):
+        def over() -> None:
+            if self._is_on("TXF"):
+                self._say("CATXF", size)
+            told()
+
+        if why := self._modem.submit(*(Job(data, _to(to), what, sent, dropped, head) for head, data in frames)):
             raise WrongSentenceError(5, why.upper())
 
     # What the water says.
@@ -306,24 +403,29 @@ class MicroModem:
         to = frame.to or BROADCAST
         if frame.what == MINI:
             self._say("CAMUA", frame.src, to, frame.payload.hex().upper())
+            self._received(frame, 0)
         elif frame.what == ANSWER and len(frame.payload) == 1:
             for number in range(1, 9):
                 if frame.payload[0] & 1 << (number - 1):
                     self._say("CAACK", frame.src, self._modem.address, number, 1)
-        elif frame.what == FRAME and len(frame.payload) >= _HEAD:
+            self._received(frame, 0)
+        elif frame.what == FRAME and len(frame.head) == _HEAD:
             self._hears_frame(frame, to)
 
     def _hears_frame(self, frame: HeardFrame, to: int) -> None:
-        packet, rate, flags, number, count = frame.payload[:_HEAD]
+        packet, rate, flags, number, count = frame.head
         coming = self._coming.get(frame.src)
         if coming is None or coming.packet != packet:
             self._end(frame.src, to, frame.end_ns)
             coming = self._coming[frame.src] = _Coming(packet, rate, flags, count)
             if not flags & _SECOND:
                 self._say("CACYC", 1, frame.src, to, rate, flags & _WANTS_ANSWER, count)
-                self._say("CARXP", 1)
-        data = coming.frames[number] = frame.payload[_HEAD:]
-        if not flags & _SECOND:
+                if rate == 0:  # its cycle begins with a packet of its own, and so has statistics of its own
+                    self._received(frame, rate)
+                if self._is_on("RXP"):
+                    self._say("CARXP", 1)
+        data = coming.frames[number] = frame.payload
+        if not flags & _SECOND and self._is_on("RXD"):
             self._say("CARXD", frame.src, to, flags & _WANTS_ANSWER, number, data.hex().upper())
         if len(coming.frames) == count:
             self._end(frame.src, to, frame.end_ns)
@@ -353,6 +455,15 @@ class MicroModem:
             bits = sum(1 << (number - 1) for number in coming.frames)
             self._modem.submit(Job(bytes((bits & 255,)), src, ANSWER))
 
+    def pinged(self, frame: HeardFrame) -> None:
+        """See `ModemLanguage`."""
+        self._say("CAMPA", frame.src, self._modem.address)
+        self._received(frame, 0)
+
+    def _received(self, frame: HeardFrame, rate: int) -> None:
+        """Something of one part has been received. Goby3 hands it on when its statistics come."""
+        self._statistics(0, rate, frame.src, frame.to or BROADCAST, 1, 0, frame.end_ns)
+
     def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """See `ModemLanguage`."""
         self._say("CAMSG", "BAD_CRC", 1)
@@ -360,21 +471,22 @@ class MicroModem:
 
     def _statistics(self, mode: int, rate: int, src: int, dst: int, frames: int, bad: int, at_ns: int) -> None:
         """CACST of version 6: fields that the channel does not know are 0, and the noise -100."""
-        if not self._config["CST"]:
+        if not self._is_on("CST"):
             return
         modem = self._modem.sea.modem
-        at = self._at(self._modem.us(at_ns))
+        at = self._date.at(at_ns)
         toa = f"{at:%Y%m%d%H%M%S}.{at.microsecond // 100:04d}"
         known = [rate, src, dst, 0, 0, frames, bad]
         quality = [0, "0.0", "0.0", "0.0", "0.0", 0, "0.0", -100, round(modem.carrier), round(modem.bandwidth)]
-        self._say("CACST", 6, mode, toa, 0, *[0] * 9, *known, *quality)
-
-    def _at(self, run_us: int) -> datetime:
-        """A time as a date, which begins when the modems are switched on."""
-        return BEGIN + timedelta(microseconds=run_us)
+        self._say("CACST", 6, mode, toa, int(self._date.is_set), *[0] * 9, *known, *quality)
 
     def _clock(self) -> str:
-        return f"{self._at(self._modem.now_us):%H%M%S}"
+        return f"{self._date.now:%H%M%S}"
+
+
+def _parameter(name: str) -> str:
+    """A parameter as it is kept: names of three letters are capitals, as Goby3 and acomms write them."""
+    return name.upper() if len(name) == 3 else name
 
 
 def _to(address: int) -> int:
@@ -386,6 +498,10 @@ _HANDLERS: dict[str, Callable[[MicroModem, list[str]], None]] = {
     "CCCFQ": MicroModem._query,
     "CCALQ": MicroModem._level,
     "CCCLQ": MicroModem._time,
+    "CCCLK": MicroModem._set_time,
+    "CCTMQ": MicroModem._tell_time,
+    "CCTMS": MicroModem._set_iso_time,
+    "CCMSC": MicroModem._sleep,
     "CCMUC": MicroModem._mini,
     "CCMPC": MicroModem._ping,
     "CCCYC": MicroModem._cycle,

@@ -55,6 +55,9 @@ class ModemLanguage(Translator, Protocol):
     def heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """A payload has arrived for this modem, or for all. `linked`: it came by the link."""
 
+    def pinged(self, frame: HeardFrame) -> None:
+        """Another modem measures its range to this one."""
+
     def begins(self, sound: Sound) -> None:
         """A transmission of another modem begins to be heard."""
 
@@ -352,6 +355,7 @@ class ModemCore:
             self.language.heard(frame, linked=False)
         elif len(frame.payload) == _REQUEST.size:
             self._put(Job(_ANSWER.pack(frame.payload[0], frame.begin_ns), frame.src, RANGING))
+            self.language.pinged(frame)
         elif len(frame.payload) == _ANSWER.size:
             number, came_ns = _ANSWER.unpack(frame.payload)
             for one in [one for one in self._ranging if (one.to, one.number) == (frame.src, number) and one.sent_ns]:

@@ -259,6 +259,9 @@ class Unet:
 
     # What the water says.
 
+    def pinged(self, frame: HeardFrame) -> None:
+        """See `ModemLanguage`. Its language has no word for it."""
+
     def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`."""
         self._publish(f"{_UNET}.phy.RxFrameStartNtf", PHYSICAL, rxTime=self._modem.us(sound.begin_ns), type=DATA)

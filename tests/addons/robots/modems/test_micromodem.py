@@ -6,13 +6,15 @@ import os
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from modem_water import LIMIT_S, ModemClient, Water
 from waiting import wait_for
 
 from fleet.addons.robots.modems.line_port import MOST_LINE, MOST_UNREAD
-from fleet.addons.robots.modems.micromodem import ANSWER, FRAME, MINI, MicroModem, checksum, sentence
+from fleet.addons.robots.modems.micromodem import ANSWER, DEFAULTS, FRAME, MINI, MicroModem, checksum, sentence
+from fleet.addons.robots.modems.micromodem_clock import ModemClock
 from fleet.addons.robots.modems.modem import RANGING, ModemCore
 from netem.cause import Cause
 from netem.errors import BusError
@@ -89,14 +91,155 @@ def test_what_cannot_be_obeyed_is_told(program: Program, said: bytes, words: str
     assert kind == "CAERR" and words in told
 
 
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [("recv.base64data,1", "recv.base64data,1"), ("rxp,0", "RXP,0"), ("psk.packet.mod_hdr_version,0", None),
+     ("XYZ,07", None)],
+)  # fmt: skip
+def test_a_parameter_of_any_name_is_kept_as_it_was_written(program: Program, said: str, told: str | None) -> None:
+    """Goby3 waits for the echo of the same text, for ever if it does not come."""
+    told = told or said
+    program.says("CCCFG", *said.split(","))
+    assert ",".join(program.hears()) == f"CACFG,{told}"
+    program.says("CCCFQ", told.split(",")[0])
+    assert ",".join(program.hears()) == f"CACFG,{told}"
+
+
+@pytest.mark.parametrize(
+    "said", [("CCCFG", "CST", "x"), ("CCCFG", "a b", "1"), ("CCCFG", "abcd", ""), ("CCCFG", "XST")]
+)
+def test_a_parameter_that_cannot_be_is_refused(program: Program, said: tuple[str, ...]) -> None:
+    program.says(*said)
+    assert program.hears()[0] == "CAERR"
+
+
+def test_all_parameters_are_told_and_forgotten(program: Program) -> None:
+    program.says("CCCFG", "ABC", 5)
+    program.says("CCCFQ", "TOP")
+    told = [program.hears() for _ in range(len(DEFAULTS) + 2)]
+    assert told[0] == told[-1] == ["CACFG", "ABC", "5"] and ["CACFG", "SRC", "1"] in told
+    program.says("CCCFG", "ALL", 0)
+    assert program.hears() == ["CACFG", "ALL", "0"]
+    program.says("CCCFQ", "ABC")
+    assert program.hears()[0] == "CAERR"
+
+
+def test_messages_that_are_switched_off_are_not_said(program: Program, water: Water) -> None:
+    for name in ("TXP", "TXF", "XST", "CST", "RXP"):
+        program.says("CCCFG", name, 0)
+        assert program.hears() == ["CACFG", name, "0"]
+    program.says("CCMUC", 1, 2, "1ABC")
+    assert program.hears()[0] == "CAMUC"
+    water.sends()
+    water.brings(2, b"\xaa", head=bytes((9, 1, 0, 1, 1)), what=FRAME, left=1.0, came=1.5)
+    assert [program.hears()[0] for _ in range(2)] == ["CACYC", "CARXD"]
+    program.says("CCCFQ", "SRC")
+    assert program.hears()[0] == "CACFG"
+
+
+@pytest.mark.parametrize(
+    ("command", "values", "answer"),
+    [("CCCLK", (2026, 11, 29, 17, 59, 60), ["CACLK", "2026", "11", "29", "18", "0", "0"]),
+     ("CCTMS", ("2026-11-29T18:00:00Z", 0), ["CATMS", "0", "2026-11-29T18:00:00Z"]),
+     ("CCTMS", ("2026-11-29T18:00:00ZZ", 1), ["CATMS", "0", "2026-11-29T18:00:00Z"])],
+)  # fmt: skip
+def test_the_clock_is_set_at_the_next_second(
+    program: Program, monkeypatch: pytest.MonkeyPatch, command: str, values: tuple[Any, ...], answer: list[str]
+) -> None:
+    """Drivers say the second to come."""
+    asked: list[float] = []
+    monkeypatch.setattr(ModemClock, "wait_s", staticmethod(lambda: asked.append(0.0) or 0.0))
+    program.says("CCTMQ", 0)
+    kind, date, source, _ = program.hears()
+    assert (kind, date[:11], source) == ("CATMQ", "2026-01-01T", "NONE")
+    program.says(command, *values)
+    assert program.hears() == answer and len(asked) == 1
+    program.says("CCTMQ", 0)
+    _, date, source, _ = program.hears()
+    assert date.startswith("2026-11-29T18:0") and source == "USER_CMD"
+
+
+def test_the_next_second_is_that_of_this_machine() -> None:
+    assert 0.0 < ModemClock.wait_s() <= 1.0
+
+
+@pytest.mark.parametrize(
+    "said",
+    [("CCTMS", "yesterday", 0), ("CCTMS", "2026-11-29T18:00:00Z", 7), ("CCTMS", "2026-11-29T18:00:00Z"),
+     ("CCTMS", "9999-12-31T23:59:59Z", 0), ("CCCLK", 2026, 13, 1, 0, 0, 0), ("CCCLK", 9999, 12, 31, 23, 59, 60),
+     ("CCCLK", 2026, 1, 1), ("CCCLK", 2026, 1, 1, 0, 0, 10**12)],
+)  # fmt: skip
+def test_a_date_that_cannot_be_is_refused(program: Program, said: tuple[Any, ...]) -> None:
+    program.says(*said)
+    assert program.hears()[0] == "CAERR"
+    program.says("CCCLQ")
+    assert program.hears()[:2] == ["CACLK", "2026"]
+
+
+def test_a_modem_that_is_sent_to_sleep_begins_anew(program: Program) -> None:
+    program.says("CCCYC", 0, 1, 2, 1, 1, 2)
+    assert [program.hears()[0] for _ in range(2)] == ["CACYC", "CADRQ"]
+    program.says("CCMSC", 1, 1, 0)
+    assert program.hears() == ["CAMSC", "1", "1", "0"]
+    assert [program.hears()[2] for _ in range(2)] == ["INIT", "AUV"]
+    program.says("CCTXD", 1, 2, 0, "00")
+    assert program.hears()[-1] == "NO DATA WERE ASKED FOR"
+    program.says("CCMSC", 1, 2, 0)
+    assert program.hears()[-1] == "NO MODEM IS SENT TO SLEEP BY SOUND"
+
+
+def test_rate_0_holds_32_bytes_and_has_statistics_of_its_cycle(program: Program, water: Water) -> None:
+    """The cycle begins with a packet of its own, so Goby3 waits for two statistics, at both ends."""
+    program.says("CCCYC", 0, 1, 2, 0, 0, 1)
+    assert program.hears()[0] == "CACYC"
+    assert program.hears()[5] == "32"
+    program.says("CCTXD", 1, 2, 0, "AB" * 32)
+    assert program.hears()[0] == "CATXD" and len(water.sends().payload) == 32
+    assert [program.hears()[0] for _ in range(4)] == ["CATXP", "CATXF", "CAXST", "CAXST"]
+    water.brings(2, b"\xaa" * 32, head=bytes((9, 0, 0, 1, 1)), what=FRAME, left=3.0, came=3.5)
+    told = [program.hears() for _ in range(5)]
+    assert [one[0] for one in told] == ["CACYC", "CACST", "CARXP", "CARXD", "CACST"]
+    assert told[3][5] == "AA" * 32
+
+
+def test_data_that_do_not_come_are_told_in_the_statistics(
+    program: Program, water: Water, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fleet.addons.robots.modems.micromodem.DATA_TIMEOUT_S", 0.0)
+    program.says("CCCYC", 0, 1, 2, 1, 1, 2)
+    told = [program.hears() for _ in range(4)]
+    assert [one[0] for one in told] == ["CACYC", "CADRQ", "CAERR", "CAXST"]
+    assert told[2][2:] == ["DATA_TIMEOUT", "1"] and told[3][5] == "4" and not water.given
+
+
+def test_the_driver_of_goby3_starts(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What its `startup` and `set_clock` send, and what they wait for: a sentence of the same kind, for CCCFG with the
+    same words, and for the clock with a date that is right within a second."""
+    monkeypatch.setattr(ModemClock, "wait_s", staticmethod(lambda: 0.0))
+    for name, value in (("CST", 1), ("SRC", 1), ("REV", 1), ("RXP", 1)):
+        program.says("CCCFG", name, value)
+        assert program.hears() == ["CACFG", name, str(value)]
+    program.says("CCMSC", 1, 1, 0)
+    revision = [program.hears() for _ in range(3)][2][3]
+    assert int(revision.split(".")[0]) >= 2 and len(revision.split(".")) == 3  # so it sets the clock by CCTMS
+    program.says("CCTMS", "2031-02-03T04:05:06Z", 0)
+    kind, timed_out, date = program.hears()
+    assert (kind, timed_out, date) == ("CATMS", "0", "2031-02-03T04:05:06Z")
+    program.says("CCCFQ", "TOP")
+    assert all(program.hears()[0] == "CACFG" for _ in DEFAULTS)
+    program.says("CCTMQ", 0)
+    assert program.hears()[1].startswith("2031-02-03T04:05:")
+
+
 def test_a_mini_packet(program: Program, water: Water) -> None:
     program.says("CCMUC", 1, 2, "1ABC")
     assert program.hears() == ["CAMUC", "1", "2", "1ABC"]
     request = water.sends()
     assert (request.to, request.what, request.payload) == (2, MINI, b"\x1a\xbc")
-    assert [program.hears()[0] for _ in range(2)] == ["CATXP", "CATXF"]
+    assert [program.hears()[0] for _ in range(3)] == ["CATXP", "CATXF", "CAXST"]
     water.brings(2, b"\x0f\x00", what=MINI, left=1.0, came=1.1)
     assert program.hears() == ["CAMUA", "2", "1", "0F00"]
+    assert program.hears()[:3] == ["CACST", "6", "0"]
 
 
 def test_a_ping_has_the_one_way_time(program: Program, water: Water) -> None:
@@ -106,6 +249,13 @@ def test_a_ping_has_the_one_way_time(program: Program, water: Water) -> None:
     answer = b"\0" + water.at(1.4).to_bytes(8, "little")
     water.brings(2, answer, what=RANGING, left=4.4, came=4.8)
     assert program.hears() == ["CAMPR", "2", "1", "0.4000"]
+    assert program.hears()[:3] == ["CACST", "6", "0"]
+
+
+def test_a_ping_of_another_one_is_told(program: Program, water: Water) -> None:
+    water.brings(3, b"\7", what=RANGING, left=1.0, came=2.0)
+    assert program.hears() == ["CAMPA", "3", "1"] and program.hears()[0] == "CACST"
+    assert water.next().to == 3
 
 
 def test_a_cycle_of_two_frames_is_acknowledged(program: Program, water: Water) -> None:
@@ -113,19 +263,24 @@ def test_a_cycle_of_two_frames_is_acknowledged(program: Program, water: Water) -
     assert program.hears() == ["CACYC", "0", "1", "2", "1", "1", "2"]
     for number, data in ((1, "AA"), (2, "BBCC")):
         kind, _, *rest = program.hears()
-        assert (kind, rest) == ("CADRQ", ["1", "2", "1", "59", str(number)])  # 64 bytes, but for our header
+        assert (kind, rest) == ("CADRQ", ["1", "2", "1", "64", str(number)])
         program.says("CCTXD", 1, 2, 1, data)
         assert program.hears() == ["CATXD", "1", "2", "1", str(len(data) // 2)]
     first, second = water.sends(), water.sends()
-    assert (first.payload, second.payload) == (bytes((1, 1, 1, 1, 2)) + b"\xaa", bytes((1, 1, 1, 2, 2)) + b"\xbb\xcc")
+    assert (first.head, first.payload) == (bytes((1, 1, 1, 1, 2)), b"\xaa")
+    assert (second.head, second.payload) == (bytes((1, 1, 1, 2, 2)), b"\xbb\xcc")
     assert [program.hears() for _ in range(2)] == [["CATXP", "3"], ["CATXF", "3"]]
+    kind, version, *rest = program.hears()
+    assert (kind, version, rest[2:4], rest[7:]) == ("CAXST", "6", ["0", "0"], ["1", "1", "2", "1", "2", "2", "0", "3"])
     water.brings(2, b"\x03", what=ANSWER, left=5.0, came=5.5)
     assert [program.hears() for _ in range(2)] == [["CAACK", "2", "1", "1", "1"], ["CAACK", "2", "1", "2", "1"]]
+    assert program.hears()[:3] == ["CACST", "6", "0"]  # Goby3 hands on what was received when it comes
 
 
 def test_a_packet_that_comes(program: Program, water: Water) -> None:
     for number, data in ((1, b"\xaa"), (2, b"\xbb")):
-        water.brings(2, bytes((9, 1, 1, number, 2)) + data, what=FRAME, left=float(number), came=number + 0.5)
+        head = bytes((9, 1, 1, number, 2))
+        water.brings(2, data, head=head, what=FRAME, left=float(number), came=number + 0.5)
     heard = [program.hears() for _ in range(5)]
     assert heard[:4] == [
         ["CACYC", "1", "2", "1", "1", "1", "2"],
@@ -148,9 +303,10 @@ def test_a_collision_is_a_bad_frame(program: Program, water: Water) -> None:
 def test_a_packet_of_the_second_generation(program: Program, water: Water) -> None:
     program.says("CCTDP", 2, 1, 0, 0, "DEADBEEF")
     assert program.hears()[:5] == ["CATDP", "0", "1", "2", "1"]
-    assert water.sends().payload == bytes((1, 1, 2, 1, 1)) + bytes.fromhex("DEADBEEF")
-    assert [program.hears()[0] for _ in range(2)] == ["CATXP", "CATXF"]
-    water.brings(2, bytes((1, 1, 2, 1, 1)) + b"\x01\x02", what=FRAME, left=1.0, came=1.5)
+    request = water.sends()
+    assert (request.head, request.payload) == (bytes((1, 1, 2, 1, 1)), bytes.fromhex("DEADBEEF"))
+    assert [program.hears()[0] for _ in range(3)] == ["CATXP", "CATXF", "CAXST"]
+    water.brings(2, b"\x01\x02", head=bytes((1, 1, 2, 1, 1)), what=FRAME, left=1.0, came=1.5)
     assert program.hears() == ["CARDP", "2", "1", "1", "0", "0", "1;2;0102"]
 
 
@@ -176,19 +332,19 @@ def test_a_terminal_takes_no_place_of_something_else(tmp_path: Path) -> None:
 
 def test_frames_of_two_packets_make_no_packet(program: Program, water: Water) -> None:
     """The second frame of the first one and the first frame of the second one were lost."""
-    water.brings(2, bytes((9, 1, 2, 1, 2)) + b"A", what=FRAME, left=1.0, came=1.5)
-    water.brings(2, bytes((10, 1, 2, 2, 2)) + b"B", what=FRAME, left=2.0, came=2.5)
-    water.brings(2, bytes((11, 1, 2, 1, 1)) + b"C", what=FRAME, left=3.0, came=3.5)
+    water.brings(2, b"A", head=bytes((9, 1, 2, 1, 2)), what=FRAME, left=1.0, came=1.5)
+    water.brings(2, b"B", head=bytes((10, 1, 2, 2, 2)), what=FRAME, left=2.0, came=2.5)
+    water.brings(2, b"C", head=bytes((11, 1, 2, 1, 1)), what=FRAME, left=3.0, came=3.5)
     told = [line[-1] for line in (program.hears() for _ in range(6)) if line[0] == "CARDP"]
     assert told == ["1;1;41;0;0;", "0;0;;1;1;42", "1;1;43"]
 
 
 def test_a_packet_that_finds_no_room_is_refused_whole(program: Program, water: Water) -> None:
     """Two wait, and one is in the channel: a packet of four frames has no room."""
-    program.says("CCTDP", 2, 5, 0, 0, "00" * 4 * 59)
+    program.says("CCTDP", 2, 5, 0, 0, "00" * 4 * 64)
     assert program.hears()[0] == "CATDP" and program.hears()[-1] == "THE QUEUE IS FULL"
     assert not water.given and water.core.remark.startswith("its modem refused 4 payloads")
-    program.says("CCTDP", 2, 5, 0, 0, "00" * 3 * 59)
+    program.says("CCTDP", 2, 5, 0, 0, "00" * 3 * 64)
     water.core.dropped(water.next().tag, Cause.MUTE)
     for _ in range(2):
         water.sends()

@@ -78,6 +78,7 @@ def test_a_script_of_acomms_runs_as_it_is(tmp_path: Path) -> None:
         stack.end()
     assert found["ids"] == [1, 2] and found["travel_s"] == 1.0
     assert found["acknowledged"] == ["2", "1", "1", "1"] and found["mini"] == ["1", "2", "1ABC"]
+    assert 0.0 <= found["behind_s"] < 5.0
     assert not any(path.is_symlink() for path in terminals)
 
 

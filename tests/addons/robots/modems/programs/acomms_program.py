@@ -4,6 +4,7 @@ import json
 import sys
 import time
 import warnings
+from datetime import datetime
 
 warnings.simplefilter("ignore")
 
@@ -23,4 +24,7 @@ one.send_packet_data(2, bytearray(b"hello from the auv"), rate_num=1, ack=True)
 found["acknowledged"] = one.wait_for_nmea_type("CAACK", timeout=WAIT_S)["params"]
 one.write_nmea({"type": "CCMUC", "params": [1, 2, "1ABC"]})
 found["mini"] = two.wait_for_nmea_type("CAMUA", timeout=WAIT_S)["params"]
+clock = datetime(2031, 2, 3, 4, 5, 6)
+one.set_time(clock)
+found["behind_s"] = (one.get_time().replace(tzinfo=None) - clock).total_seconds()
 print(json.dumps(found))

@@ -54,7 +54,8 @@ def _of(node: Node, found: str, opened: str) -> Iterator[str]:
         if modem.language == "unet":
             yield f"modem of UnetStack: UnetSocket('{host}', {where})"
         elif modem.language == "evologics":
-            yield f"modem of EvoLogics (experimental): TCP {host}:{where}"
+            begins = "commands alone" if modem.mode == "command" else "data, and commands behind +++"
+            yield f"modem of EvoLogics (experimental): TCP {host}:{where}, for {begins}"
         else:
             yield f"Micro-Modem: {where if isinstance(modem.where, str) else f'TCP {host}:{where}'}"
     if listen := node.listen or found:

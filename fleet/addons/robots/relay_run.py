@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from multiprocessing import Pipe
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -126,7 +127,9 @@ def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
         from fleet.addons.robots.modems.unet import Unet
 
         languages: dict[str, type[ModemLanguage]] = {"unet": Unet, "evologics": EvoLogics, "micromodem": MicroModem}
-        language = languages[modem.language]
+        language: Callable[[], ModemLanguage] = languages[modem.language]
+        if modem.language == "evologics":
+            language = partial(EvoLogics, modem.mode or "data", modem.usbl)
         if isinstance(where := modem.where, str):
             yield ModemCore(i, language, terminal=where, address=modem.address)
         else:

@@ -10,7 +10,7 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import CONDITIONS
-from fleet.scenario.schema.nodes import LANGUAGES, ModemPortSection, TopicPlace, udp_target, without_address
+from fleet.scenario.schema.nodes import LANGUAGES, MOST_USBL, ModemPortSection, TopicPlace, udp_target, without_address
 from fleet.scenario.schema.programs import programs_of
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.simulated_nodes import SIMULATED, obstacles
@@ -76,6 +76,16 @@ def _modem(
     if taken.setdefault(("address", address), name) != name:
         other = taken["address", address]
         report.add(("nodes", name, "modem"), f"{other} has the address {address}, too", "address: N is the modem's own")
+    if modem.language != "evologics":
+        for key in ("mode", "usbl"):
+            if getattr(modem, key) is not None:
+                report.add(
+                    ("nodes", name, "modem", key),
+                    f"has no effect on {modem.language}: it belongs to evologics",
+                    key=True,
+                )
+    if modem.usbl is not None and modem.usbl > MOST_USBL:
+        report.add(("nodes", name, "modem", "usbl"), "must be between 0 and 45 deg", "usbl: 1 deg")
     if address > most:
         report.add(
             ("nodes", name, "modem"), f"{modem.language} has addresses up to {most}, got {address}", "address: 1"

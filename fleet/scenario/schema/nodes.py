@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any
+from math import radians
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -90,6 +91,9 @@ class TopicPlace(Section):
 LANGUAGES = {"unet": MOST_ADDRESS, "evologics": 254, "micromodem": 126}
 
 
+MOST_USBL = radians(45.0)  # beyond it the errors of angles are no normal ones
+
+
 class ModemPortSection(Section):
     """An acoustic modem that programs of the node open, in one of the languages of modems."""
 
@@ -98,6 +102,8 @@ class ModemPortSection(Section):
     # A WHOI Micro-Modem: a TCP port, or the path of a pseudo terminal that we make.
     micromodem: Annotated[int | str, BeforeValidator(_open_or_path)] | None = None
     evologics: Annotated[int, BeforeValidator(_open)] | None = None  # as EvoLogics has 9200; experimental
+    mode: Literal["data", "command"] | None = None  # of EvoLogics, in which a connection begins; None: data
+    usbl: v.Angle | None = None  # of EvoLogics: it measures where sounds come from, with this standard deviation
     host: str = LOOPBACK  # the address that it listens on
     address: Annotated[int, Field(ge=1, le=MOST_ADDRESS)] | None = None  # in the water; None: the number of the node
 

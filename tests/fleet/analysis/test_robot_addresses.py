@@ -49,7 +49,8 @@ def test_a_modem_says_what_programs_open() -> None:
     free = "a free port, which fleet netem tells"
     assert [*lines(found)] == [
         f"a  modem of UnetStack: UnetSocket('127.0.0.1', {free})", "b  Micro-Modem: /tmp/ttyB",
-        "c  modem of EvoLogics (experimental): TCP 10.0.0.1:9200", f"d  Micro-Modem: TCP 127.0.0.1:{free}",
+        "c  modem of EvoLogics (experimental): TCP 10.0.0.1:9200, for data, and commands behind +++",
+        f"d  Micro-Modem: TCP 127.0.0.1:{free}",
     ]  # fmt: skip
     assert next(iter(lines(found, modems={"a": "43211"}))) == "a  modem of UnetStack: UnetSocket('127.0.0.1', 43211)"
 

@@ -39,7 +39,7 @@ class _Waiting:
     """A payload that waits for its acknowledgement."""
 
     frame: Job
-    then: Callable[[bool], None]  # learns whether it was delivered
+    then: Callable[[HeardFrame | None], None]  # gets the acknowledgement; None: it was not delivered
     tries: int
     tried: int
 
@@ -48,18 +48,27 @@ class Deliveries:
     """The frames of one modem that are not acknowledged yet, and the last ones that it has taken from others."""
 
     def __init__(
-        self, link: int, sea: Sea, put: Callable[[Job], None], after: Callable[[float, Callable[[], None]], None]
+        self,
+        link: int,
+        piggyback: int,
+        sea: Sea,
+        put: Callable[[Job], None],
+        after: Callable[[float, Callable[[], None]], None],
     ) -> None:
-        """Begin. `link`: protocol number of the frames. `put` lets one wait for its transmission; `after` calls
-        something after a time [s]."""
+        """Begin. `link`, `piggyback`: protocol numbers of the frames, and of what comes with an acknowledgement. `put`
+        lets one wait for its transmission; `after` calls something after a time [s]."""
+        self._piggyback = piggyback
         self._link, self._sea, self._put, self._after = link, sea, put, after
         self._waiting: dict[int, _Waiting] = {}  # by number
         self._taken: dict[int, deque[int]] = {}  # by sender: its last numbers
         self._last = -1
+        self._more: dict[int, bytes] = {}  # by address: what goes with the next acknowledgement
 
-    def send(self, job: Job, tries: int, then: Callable[[bool], None], submit: Callable[[Job], str]) -> str:
-        """Send a payload. `submit` takes it for the first time, or says why not. Returns that; empty: `then` learns
-        whether the payload was delivered."""
+    def send(
+        self, job: Job, tries: int, then: Callable[[HeardFrame | None], None], submit: Callable[[Job], str]
+    ) -> str:
+        """Send a payload. `submit` takes it for the first time, or says why not. Returns that; empty: `then` gets the
+        acknowledgement, or None if the payload was not delivered."""
         free = (n % _NUMBERS for n in range(self._last + 1, self._last + 1 + _NUMBERS))
         number = next((n for n in free if n not in self._waiting), None)
         if number is None:
@@ -84,11 +93,15 @@ class Deliveries:
         """A payload as a frame of the link that nobody acknowledges."""
         return replace(job, head=bytes((_ALONE, 0, job.what)) + job.head, what=self._link)
 
+    def answer_with(self, to: int, payload: bytes) -> None:
+        """Let a payload travel with the next acknowledgement for a modem, in place of an earlier one."""
+        self._more[to] = payload
+
     def clear(self) -> None:
-        """Give up everything that waits for its acknowledgement."""
-        waiting, self._waiting = self._waiting, {}
+        """Give up everything that waits for its acknowledgement, or to travel with one."""
+        waiting, self._waiting, self._more = self._waiting, {}, {}
         for one in waiting.values():
-            one.then(False)
+            one.then(None)
 
     def heard(self, frame: HeardFrame) -> HeardFrame | None:
         """Take a frame of the link. Returns what it carries; None: nothing that is new."""
@@ -97,11 +110,12 @@ class Deliveries:
         kind, number, what = frame.head[:_HEAD]
         if kind == _ACKNOWLEDGEMENT:
             if number in self._waiting and self._waiting[number].frame.to == frame.src:
-                self._waiting.pop(number).then(True)
-            return None
+                self._waiting.pop(number).then(frame)
+            return frame._replace(what=self._piggyback, head=b"") if frame.payload else None
         if kind == _ALONE:
             return frame._replace(what=what, head=frame.head[_HEAD:])
-        self._put(Job(b"", frame.src, self._link, head=bytes((_ACKNOWLEDGEMENT, number, what))))
+        more = self._more.pop(frame.src, b"")
+        self._put(Job(more, frame.src, self._link, head=bytes((_ACKNOWLEDGEMENT, number, what))))
         taken = self._taken.setdefault(frame.src, deque(maxlen=_REMEMBERED))
         if number in taken:
             return None
@@ -116,4 +130,4 @@ class Deliveries:
             self._put(one.frame)
         else:
             del self._waiting[number]
-            one.then(False)
+            one.then(None)

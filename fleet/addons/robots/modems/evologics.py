@@ -1,32 +1,59 @@
 """The language of EvoLogics S2C modems: AT commands over TCP. Experimental: no client of the maker was tried with it.
 
-Written from what two public drivers send and take, independent of each other: evins of EvoLogics' own people (Erlang,
-github.com/okebkal/evins, role_at.erl) and drivers-usbl_evologics of Rock (C++, github.com/rock-drivers). Answered are
-instant messages, burst data, addresses, the travel time, the source level, and the two modes. In the data mode commands
-and answers stand behind `+++`, and everything else is data for the remote address.
+Written from what public drivers send and take, independent of each other: evins of EvoLogics' own people (Erlang,
+github.com/okebkal/evins, role_at.erl), usbl_evologics of Rock, DUNE (github.com/LSTS/dune, Transports/Evologics), and
+those of signetlabdei, oceansystemslab and GSO-soslab on GitHub. In the data mode commands and answers stand behind
+`+++`, and everything else is data for the remote address, byte by byte. In the command mode there are commands alone.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
 
-from fleet.addons.robots.modems.delivery import Job
-from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
+from fleet.addons.robots.modems.delivery import CLEARED, Job
+from fleet.addons.robots.modems.evologics_settings import OK, VERSIONS, Settings
+from fleet.addons.robots.modems.line_port import MOST_LINE, Client
+from fleet.addons.robots.modems.modem import FIRST_OWN, PIGGYBACK, ModemCore
+from fleet.addons.robots.modems.usbl import Fix, measure_fix
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, Level, SentFrame, Sound
 
+Mode = Literal["data", "command"]
 BROADCAST = 255
 MOST_MESSAGE = 64  # bytes of an instant message
-INSTANT, BURST, _LINK = (
-    FIRST_OWN + 2,
-    FIRST_OWN + 3,
-    FIRST_OWN + 4,
-)  # protocol numbers: instant messages, burst data, and what is acknowledged
-_LEVELS = range(4)  # 0 is the loudest
-_SEND = re.compile(rb"AT\*SEND(IM)?,(?:p\d+,)?(\d{1,4}),(\d{1,3}),(?:(ack|noack|force),)?", re.ASCII)
-_PLAIN = re.compile(rb"AT([?!]?[A-Z]{1,3}|\*?[A-Z]+)(\d{0,6})", re.ASCII)
-OK, BAD, NOT_HERE = b"OK", b"ERROR WRONG FORMAT", b"ERROR UNKNOWN COMMAND"
+# Protocol numbers: instant messages, burst data, what is acknowledged, and messages with a time.
+INSTANT, BURST, _LINK, TIMED = FIRST_OWN + 2, FIRST_OWN + 3, FIRST_OWN + 4, FIRST_OWN + 8
+_SEND = re.compile(
+    rb"AT\*SEND(?:(IM),(?:p(\d),)?(\d{1,4}),(\d{1,3}),(ack|noack|force)"
+    rb"|(IMS),(?:p(\d),)?(\d{1,4}),(\d{1,3}),(\d{0,18})"
+    rb"|(PBM|),(?:p(\d),)?(\d{1,4}),(\d{1,3})),",
+    re.ASCII,
+)
+_PLAIN = re.compile(rb"AT([?!@&]?[A-Z]{1,5}|\*?[A-Z]+)(\d{0,6})", re.ASCII)
+_SENDS = re.compile(rb"AT(\*SEND[A-Z]*)", re.ASCII)
+_COMMAND = b"+++AT"
+_ESCAPE = b"+++"
+BAD, NOT_HERE, RANGE, BUSY = b"ERROR WRONG FORMAT", b"ERROR UNKNOWN COMMAND", b"ERROR OUT OF RANGE", b"BUSY DELIVERING"
+LISTENS = b"INITIATION LISTEN"  # DUNE, evins and Rock wait for it; that it never changes is an assumption
+PAUSE_S = 0.05  # bytes of the data mode without a line feed are sent after it
+ESCAPE_S = 1.0  # around `+++`, as Rock's Driver.cpp waits before and behind it
+# Rock's test has an RSSI of -54 dB from 14 m: of 184 dB re 1 uPa at 1 m, the level of `s2c`, 167 dB arrive there.
+RSSI_0 = 221.0  # dB re 1 uPa: an assumption, from that
+# A driver on GitHub quotes the manual: above 100 a message is valid. So a signal at the limit has 100. That the number
+# grows by 2 with each decibel is an assumption.
+_LIMIT, _PER_DB = 100, 2.0
+
+
+@dataclass(slots=True)
+class _Talk:
+    """How one program talks."""
+
+    data: bool  # whether it is in the data mode
+    before: bytes = b""  # the beginning of a command with line feeds in its data
+    pids: bool = False  # whether it names protocol numbers, and so is told them
 
 
 class EvoLogics:
@@ -35,51 +62,86 @@ class EvoLogics:
     delimiter = b"\n"
     link: int | None = _LINK
 
-    def __init__(self) -> None:
+    def __init__(self, mode: Mode = "data", usbl: float | None = None) -> None:
+        """Begin.
+
+        Args:
+            mode: in which a connection begins.
+            usbl: standard deviation of its bearings and elevations [rad]; None: it measures none.
+        """
+        self._mode, self._usbl = mode, usbl
+        self._settings = Settings()
         self._waiting = 0  # messages without their acknowledgement
-        self._remote = 0  # the address of burst data
-        self._level = 0
-        self._delivered = 0
+        self._last_failed = False  # whether the last one of them has failed
+        self._delivered = self._fixes = 0
+        self._stream = b""  # of the data mode, not given to the modem yet
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
         self._modem = modem
 
     def opened(self, client: Client) -> None:
-        """See `Translator`. A connection begins in the data mode."""
-        client.state = [True, b""]  # whether it is in the data mode; the beginning of a message with line feeds in it
+        """See `Translator`."""
+        client.state = _Talk(self._mode == "data")
 
     def closed(self, client: Client) -> None:
         """See `Translator`."""
 
     def line(self, client: Client, line: bytes) -> None:
         """See `Translator`."""
-        in_data_mode, before = client.state
-        whole = before + b"\n" + line if before else line
-        client.state[1] = b""
-        escaped = whole.startswith(b"+++")
-        if in_data_mode and not escaped:
-            self._burst(client, line.rstrip(b"\r"))
-            return
-        command = whole.removeprefix(b"+++")
-        if found := _SEND.match(command):
-            self._send(client, found, command[found.end() :], whole)
+        talk: _Talk = client.state
+        whole = talk.before + b"\n" + line if talk.before else line
+        if talk.data and not talk.before:
+            data, found, rest = whole.partition(_COMMAND)
+            if not found and not whole.startswith(_ESCAPE):
+                self._take_data(client, whole + b"\n")
+                return
+            if found:
+                self._take_data(client, data)
+                whole = found + rest
+        talk.before = b""
+        command = whole.removeprefix(_ESCAPE)
+        if found_send := _SEND.match(command):
+            self._send(client, found_send, command[found_send.end() :], whole)
+        elif known := _SENDS.match(command):
+            self._answer(client, known[1], BAD)
         else:
-            self._plain(client, command.strip(), escaped=escaped)
+            self._plain(client, command.strip(), escaped=whole.startswith(_ESCAPE))
+
+    def partial(self, client: Client) -> None:
+        """See `Translator`. Bytes of the data mode need no line feed: they leave after a pause."""
+        said, talk = client.said, client.state
+        if not talk.data or talk.before:
+            return
+
+        def quiet() -> None:
+            if client.said is not said or client not in self._modem.line_port.clients or not talk.data:
+                return
+            if said == _ESCAPE:
+                client.said = b""
+                self._plain(client, b"", escaped=True)
+            elif not _ESCAPE.startswith(said[:3]):
+                data, found, rest = said.partition(_COMMAND)
+                client.said = found + rest
+                self._take_data(client, data)
+
+        self._modem.after(ESCAPE_S if said == _ESCAPE else PAUSE_S, quiet)
 
     def _answer(self, client: Client, command: bytes, said: bytes) -> None:
         """Answer a command, as the mode wants it."""
-        self._modem.line_port.say(client, _framed(command, said) if client.state[0] else said + b"\r\n")
+        self._modem.line_port.say(client, _framed(command, said) if client.state.data else said + b"\r\n")
 
-    def _tell(self, said: bytes) -> None:
-        """Tell all clients something that nobody asked for."""
+    def _tell(self, said: bytes | Callable[[_Talk], bytes], switch: bytes = b"") -> None:
+        """Tell all clients something that nobody asked for. `switch`: the one that it needs."""
+        if switch and not self._settings.switches[switch]:
+            return
         for client in list(self._modem.line_port.clients):
-            self._answer(client, b"", said)
+            self._answer(client, b"", said if isinstance(said, bytes) else said(client.state))
 
     def _plain(self, client: Client, command: bytes, *, escaped: bool) -> None:
         found = _PLAIN.fullmatch(command)
         if command == b"" and escaped:  # the escape of the data mode
-            client.state[0] = False
+            client.state.data = False
             self._answer(client, b"", OK)
             return
         if found is None:
@@ -89,98 +151,215 @@ class EvoLogics:
         match name:
             case b"C":
                 self._answer(client, name, OK)
-                client.state[0] = False
+                client.state.data = False
             case b"O":
-                client.state[0] = True
-            case b"!AR" if value is not None and 1 <= value <= BROADCAST:
-                self._remote = value
-                self._answer(client, name, OK)
-            case b"!AL" if value is not None and 1 <= value < BROADCAST:
-                self._modem.address = value
-                self._answer(client, name, OK)
-            case b"!L" if value in _LEVELS:
-                self._level = value or 0  # it is kept, and changes nothing in the water
-                self._answer(client, name, OK)
-            case b"!AR" | b"!L" | b"!AL":
-                self._answer(client, name, b"ERROR OUT OF RANGE")
-            case b"?AL" | b"?AR" | b"?L" | b"?T" | b"?AM":
-                known = {b"?AL": self._modem.address, b"?AR": self._remote, b"?L": self._level,
-                         b"?T": self._modem.travel_us, b"?AM": max(self._modem.sea.addresses.values())}  # fmt: skip
-                self._answer(client, name, str(known[name]).encode())
-            case b"?DI":
-                self._answer(client, name, b"PENDING" if self._waiting else b"EMPTY")
+                client.state.data = True
             case b"Z":
+                self._stream = b""
                 self._modem.clear()
+                if value != 0:  # of the device itself there is no answer, as Rock's driver knows
+                    self._answer(client, name, OK)
+            case b"A" | b"?S":
+                self._answer(client, name, LISTENS)
+            case b"H":  # there are no connections that could be closed
                 self._answer(client, name, OK)
+            case b"I":
+                self._answer(client, name, VERSIONS.get(b"I%d" % (value or 0), NOT_HERE))
+            case b"?DI":  # Rock knows these words
+                waits = b"FAILED" if self._last_failed else b"EMPTY"
+                self._answer(client, name, b"DELIVERING" if self._waiting else waits)
             case _:
-                self._answer(client, name, NOT_HERE)
+                said = self._settings.take(self._modem, name, value)
+                self._answer(client, name, NOT_HERE if said is None else said)
 
     def _send(self, client: Client, found: re.Match[bytes], data: bytes, whole: bytes) -> None:
-        instant, length, to = found[1] is not None, int(found[2]), int(found[3])
-        name = b"*SENDIM" if instant else b"*SEND"
+        kind, pid, length, to, more = next(
+            (found[n] or b"", found[n + 1], int(found[n + 2]), int(found[n + 3]), found[n + 4] if n < 10 else b"")
+            for n in (1, 6, 11)
+            if found[n] is not None
+        )
+        name = b"*SEND" + kind
         data = data[:-1] if len(data) == length + 1 and data.endswith(b"\r") else data
         if len(data) < length:  # a line feed was a part of the message
-            client.state[1] = whole
+            client.state.before = whole
             return
-        if len(data) > length or (instant and (found[4] is None or length > MOST_MESSAGE)):
+        if len(data) > length or (kind and length > MOST_MESSAGE):
             self._answer(client, name, BAD)
             return
-        answered = found[4] in (b"ack", b"force") if instant else True
-        self._answer(client, name, self._submit(to, data, instant=instant, answered=answered))
+        client.state.pids |= pid is not None
+        number = self._settings.numbers[b"ZS"] if pid is None else int(pid)
+        if kind == b"IMS":
+            said = self._submit_timed(to, data, number, int(more) if more else None)
+        elif kind == b"PBM":
+            said = RANGE if self._modem.answer_with(to, data) else OK
+        else:
+            said = self._submit(to, data, number, instant=kind == b"IM", answered=more != b"noack")
+        self._answer(client, name, said)
 
-    def _burst(self, client: Client, data: bytes) -> None:
-        if self._remote and data:
-            self._submit(self._remote, data, instant=False, answered=True)
+    # Data of the data mode.
 
-    def _submit(self, to: int, data: bytes, *, instant: bool, answered: bool) -> bytes:
+    def _take_data(self, client: Client, data: bytes) -> None:
+        if not data:
+            return
+        if not self._settings.numbers[b"AR"]:
+            hint = "commands begin with +++ there, or the key mode: command is what the program wants"
+            self._modem.remark_once(
+                f"its program said something else than +++AT in the data mode, without AT!AR; {hint}"
+            )
+            return
+        self._stream += data
+        self._go_on()
+        if len(self._stream) > MOST_LINE:
+            self._stream = b""
+            self._modem.line_port.end(client)
+
+    def _go_on(self) -> None:
+        """Give the modem what it takes of the data."""
+        to, most = self._settings.numbers[b"AR"], max(1, self._modem.sea.mtu)
+        while to and self._stream:
+            piece = self._stream[:most]
+            if self._submit(to, piece, self._settings.numbers[b"ZS"], instant=False, answered=True) != OK:
+                return
+            self._stream = self._stream[len(piece) :]
+
+    # Messages that leave.
+
+    def _submit(self, to: int, data: bytes, pid: int, *, instant: bool, answered: bool) -> bytes:
         """Send a message. Returns the answer to its command."""
-        address, kind = EVERYBODY if to == BROADCAST else to, b"im" if instant else b"burst"
+        address, word = EVERYBODY if to == BROADCAST else to, b"IM" if instant else b""
 
-        def sent(frame: SentFrame) -> None:
-            self._tell(b"SENDSTART,%d,%b,%d,0" % (to, kind, frame.airtime_ns // 1000))
-            end_us = self._modem.us(frame.at_ns + frame.airtime_ns)
-            said = b"SENDEND,%d,%b,%d,%d" % (to, kind, end_us, frame.airtime_ns // 1000)
-            self._modem.after(frame.airtime_ns / 1e9, lambda: self._tell(said))
-
-        def ends(delivered: bool) -> None:
+        def ends(answer: HeardFrame | None) -> None:
             self._waiting -= 1
-            word = b"DELIVERED" if delivered else b"FAILED"
-            if instant:
-                self._tell(b"%bIM,%d" % (word, to))
-            else:
-                self._delivered += delivered
-                self._tell(b"%b,%d,%d" % (word, self._delivered, to))
+            self._last_failed = answer is None
+            self._delivered += not instant and answer is not None
+            count = b"" if instant else b"%d," % self._delivered
+            self._tell(b"%b%b,%b%d" % (b"FAILED" if answer is None else b"DELIVERED", word, count, to))
+            if answer is not None:
+                self._tell_place(answer)
+            self._go_on()
 
-        job = Job(data, address, INSTANT if instant else BURST, sent)
+        def dropped(_: str) -> None:
+            self._tell(b"CANCELED%b,%d" % (word, to))
+
+        job = Job(data, address, INSTANT if instant else BURST, self._told(to, b"im" if instant else b"burst"), dropped)
+        job.head = bytes((pid,))
         answered &= address != EVERYBODY
         if self._modem.deliver(job, 1, ends) if answered else self._modem.submit(job):
-            return b"BUSY DELIVERING" if self._modem.waits else b"ERROR OUT OF RANGE"
+            return BUSY if self._modem.waits else RANGE
         self._waiting += answered
         return OK
+
+    def _submit_timed(self, to: int, data: bytes, pid: int, at_us: int | None) -> bytes:
+        """Send a synchronous message at a time of the modem's clock [us]; None: when it is its turn."""
+
+        def dropped(reason: str) -> None:
+            self._tell(b"%bIMS,%d" % (b"CANCELED" if reason == CLEARED else b"EXPIRED", to))
+
+        job = Job(data, EVERYBODY if to == BROADCAST else to, TIMED, self._told(to, b"ims"), dropped)
+        job.head = bytes((pid,))
+        modem = self._modem
+        if modem.submit(job) if at_us is None else modem.submit_at(job, modem.at_ns(at_us)):
+            return BUSY if modem.waits else RANGE
+        return OK
+
+    def _told(self, to: int, kind: bytes) -> Callable[[SentFrame], None]:
+        """What tells that a message begins to be transmitted, and has ended."""
+
+        def sent(frame: SentFrame) -> None:
+            self._tell(b"SENDSTART,%d,%b,%d,0" % (to, kind, frame.airtime_ns // 1000), b"ZX")
+            end_us = self._modem.us(frame.at_ns + frame.airtime_ns)
+            said = b"SENDEND,%d,%b,%d,%d" % (to, kind, end_us, frame.airtime_ns // 1000)
+            self._modem.after(frame.airtime_ns / 1e9, lambda: self._tell(said, b"ZX"))
+
+        return sent
+
+    # What the water says.
 
     def pinged(self, frame: HeardFrame) -> None:
         """See `ModemLanguage`. Its language has no word for it."""
 
     def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`."""
-        self._tell(b"RECVSTART")
+        self._tell(b"RECVSTART", b"ZX")
 
     def heard(self, frame: HeardFrame, *, linked: bool) -> None:
-        """See `ModemLanguage`. Levels are not known to the channel: the signal strength is 0."""
-        data, to = frame.payload, frame.to or BROADCAST
-        duration_us = self._modem.sea.modem.airtime_ns(len(data)) // 1000
-        self._tell(b"RECVEND,%d,%d,0,100" % (self._modem.us(frame.end_ns), duration_us))
-        if frame.what == INSTANT:
-            flag = b"ack" if linked else b"noack"
-            self._tell(b"RECVIM,%d,%d,%d,%b,%d,0,100,0.0000,%b" % (len(data), frame.src, to, flag, duration_us, data))
-        elif frame.what == BURST:
+        """See `ModemLanguage`."""
+        modem, data, to = self._modem, frame.payload, frame.to or BROADCAST
+        duration_us = modem.sea.modem.airtime_ns(len(data)) // 1000
+        level = b"%d,%d" % self._strength(frame.level)
+        self._tell(b"RECVEND,%d,%d,%b" % (modem.us(frame.end_ns), duration_us, level), b"ZX")
+        if frame.what == BURST:
             rate = round(8e6 * len(data) / max(1, duration_us))
-            head = b"RECV,%d,%d,%d,%d,0,100,%d,0.0000," % (len(data), frame.src, to, rate, self._modem.travel_us)
-            self._tell(head + data)
+            head = b"%d,%d,%d,%b,%d,0.0000," % (frame.src, to, rate, level, modem.travel_us)
+            for client in list(modem.line_port.clients):
+                if client.state.data:  # byte by byte, as it was sent
+                    modem.line_port.say(client, data)
+                else:
+                    self._answer(client, b"", self._message(client.state, b"RECV", frame, head))
+            self._tell_direction(frame)
+            return
+        kind, more = {
+            INSTANT: (b"RECVIM", b"ack," if linked else b"noack,"),
+            TIMED: (b"RECVIMS", b"%d," % modem.us(frame.begin_ns)),
+            PIGGYBACK: (b"RECVPBM", b""),
+        }.get(frame.what, (b"", b""))
+        if kind:
+            head = b"%d,%d,%b%d,%b,0.0000," % (frame.src, to, more, duration_us, level)
+            self._tell(lambda talk: self._message(talk, kind, frame, head))
+            self._tell_direction(frame)
+
+    def _message(self, talk: _Talk, kind: bytes, frame: HeardFrame, head: bytes) -> bytes:
+        """A message that was received. Its protocol number is for programs that name such numbers: evins takes both."""
+        named = talk.pids or self._settings.switches[b"ZF"]
+        pid = b"p%d," % (frame.head[0] if frame.head else 0) if named else b""
+        return b"%b,%b%d,%b%b" % (kind, pid, len(frame.payload), head, frame.payload)
 
     def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """See `ModemLanguage`."""
-        self._tell(b"RECVFAILED,0.0000,0,0")
+        rssi, integrity = self._strength(level)
+        self._tell(b"RECVFAILED,0.0000,%d,%d" % (rssi, min(_LIMIT - 1, integrity)), b"ZX")
+
+    def _strength(self, level: Level) -> tuple[int, int]:
+        """The signal strength [dB] and the integrity of what was received."""
+        over_db = level.snr - self._modem.sea.modem.clear_above
+        return round(level.received - RSSI_0), max(0, round(_LIMIT + _PER_DB * over_db))
+
+    # Where it comes from.
+
+    def _tell_place(self, frame: HeardFrame) -> None:
+        """USBLLONG, after an acknowledgement: then the travel time is known, and so the range."""
+        if self._usbl is None or frame.away is None:
+            return
+        fix, (now, then) = self._fix(frame), self._times(frame)
+        enu, travel_us = fix.enu, (frame.begin_ns - frame.sent_ns) // 1000
+        level = self._strength(frame.level)
+        # The device's own axes are east, north and up, since it has no attitude here.
+        axes = b",".join(b"%.4f" % value for value in (*enu, *enu, 0.0, 0.0, 0.0))
+        accuracy = fix.range_m * self._usbl
+        said = (now, then, frame.src, axes, travel_us, *level, accuracy)
+        self._tell(b"USBLLONG,%.6f,%.6f,%d,%b,%d,%d,%d,%.4f" % said, b"ZU")
+
+    def _tell_direction(self, frame: HeardFrame) -> None:
+        """USBLANGLES, after everything else that was received. Angles are in rad, the bearing from north, clockwise."""
+        if self._usbl is None or frame.away is None:
+            return
+        fix, (now, then) = self._fix(frame), self._times(frame)
+        both = (fix.bearing, fix.elevation)
+        angles = b",".join(b"%.4f" % value for value in (*both, *both, 0.0, 0.0, 0.0))
+        said = (now, then, frame.src, angles, *self._strength(frame.level), self._usbl)
+        self._tell(b"USBLANGLES,%.6f,%.6f,%d,%b,%d,%d,%.4f" % said, b"ZU")
+
+    def _times(self, frame: HeardFrame) -> tuple[float, float]:
+        """Now, and when the measurement was made, by the modem's clock [s]."""
+        return self._modem.now_us / 1e6, self._modem.us(frame.begin_ns) / 1e6
+
+    def _fix(self, frame: HeardFrame) -> Fix:
+        assert frame.away is not None and self._usbl is not None
+        self._fixes += 1
+        modem = self._modem
+        travelled_m = self._settings.speed(modem) * (frame.begin_ns - frame.sent_ns) / 1e9
+        key = (modem.number, frame.src, self._fixes)
+        return measure_fix(frame.away, travelled_m, self._usbl, modem.sea.seed, key)
 
 
 def _framed(command: bytes, said: bytes) -> bytes:

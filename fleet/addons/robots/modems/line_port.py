@@ -14,6 +14,7 @@ import traceback
 import tty
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -48,6 +49,9 @@ class Translator(Protocol):
 
     def line(self, client: Client, line: bytes) -> None:
         """A program has said a line."""
+
+    def partial(self, client: Client) -> None:
+        """A program has said the beginning of a line, which is in `said`."""
 
     def closed(self, client: Client) -> None:
         """A program is gone."""
@@ -219,11 +223,17 @@ class LinePort:
         for line in lines:
             if client not in self.clients:
                 return
-            try:
-                self._translator.line(client, line)
-            except Exception:  # a defect of ours at an odd line costs this client alone; the relay's log has it
-                traceback.print_exc()
-                self.end(client)
+            self._do_for(client, partial(self._translator.line, client, line))
+        if client.said and client in self.clients:
+            self._do_for(client, partial(self._translator.partial, client))
+
+    def _do_for(self, client: Client, event: Callable[[], None]) -> None:
+        """Do what a client wants. A defect of ours at an odd line costs it alone; the relay's log has it."""
+        try:
+            event()
+        except Exception:
+            traceback.print_exc()
+            self.end(client)
 
     def _flush(self, client: Client) -> None:
         try:

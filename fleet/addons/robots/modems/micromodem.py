@@ -130,6 +130,9 @@ class MicroModem:
             for what in _REBOOTED:
                 self._say_to(client, "CAREV", self._clock(), *what)
 
+    def partial(self, client: Client) -> None:
+        """See `Translator`."""
+
     def closed(self, client: Client) -> None:
         """See `Translator`."""
 

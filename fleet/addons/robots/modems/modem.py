@@ -35,6 +35,7 @@ from netem.endpoint import EVERYBODY, MOST_ADDRESS, UNKNOWN, HeardFrame, Level, 
 # Protocol numbers of what modems say to each other. Programs have 0 to 63, so none of theirs means that by chance.
 FIRST_OWN = 64
 RANGING = FIRST_OWN
+PIGGYBACK = FIRST_OWN + 9  # what came with an acknowledgement
 _REQUEST = Struct("<B")  # its number
 _ANSWER = Struct("<Bq")  # the number of the request, and when it had come [ns]
 _MOST_OWN = 64  # answers and second tries that wait at most
@@ -128,7 +129,7 @@ class ModemCore:
         """See `ModemEndpoint`."""
         self.sea = sea
         if self.language.link is not None:
-            self._deliveries = Deliveries(self.language.link, sea, self._put, self.after)
+            self._deliveries = Deliveries(self.language.link, PIGGYBACK, sea, self._put, self.after)
         self.language.begin(self)
         self.line_port.begin()
 
@@ -244,11 +245,27 @@ class ModemCore:
             return f"there is no address {job.to}: they are 1 to {MOST_ADDRESS}"
         return ""
 
-    def deliver(self, job: Job, tries: int, then: Callable[[bool], None]) -> str:
-        """Send a payload until it is acknowledged. Returns why that cannot be; empty: `then` learns whether it was
-        delivered. The language has a link."""
+    def deliver(self, job: Job, tries: int, then: Callable[[HeardFrame | None], None]) -> str:
+        """Send a payload until it is acknowledged. Returns why that cannot be; empty: `then` gets the acknowledgement,
+        or None if the payload was not delivered. The language has a link."""
         assert self._deliveries is not None
         return self._deliveries.send(job, tries, then, self.submit)
+
+    def answer_with(self, to: int, payload: bytes) -> str:
+        """Let a payload travel with the next acknowledgement for a modem. The language has a link.
+
+        Args:
+            to: its address.
+            payload: what it gets.
+
+        Returns:
+            why that cannot be; empty: it waits for that.
+        """
+        assert self._deliveries is not None
+        if not EVERYBODY < to <= MOST_ADDRESS or len(payload) > self.sea.mtu:
+            return "there is no such address, or the payload is longer than the MTU"
+        self._deliveries.answer_with(to, payload)
+        return ""
 
     def unacknowledged(self, job: Job) -> Job:
         """A payload as one of the link that nobody acknowledges. The language has a link."""

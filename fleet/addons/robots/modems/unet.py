@@ -61,6 +61,9 @@ class Unet:
         """See `Translator`."""
         client.state = frozenset[str]()  # topics and agents whose messages it wants
 
+    def partial(self, client: Client) -> None:
+        """See `Translator`."""
+
     def closed(self, client: Client) -> None:
         """See `Translator`."""
 
@@ -180,8 +183,8 @@ class Unet:
         def dropped(reason: str) -> None:
             reply.tell(f"{_UNET}.DatagramFailureNtf", to=frame.to, reason=reason)
 
-        def ends(delivered: bool) -> None:
-            reply.tell(f"{_UNET}.Datagram{'Delivery' if delivered else 'Failure'}Ntf", to=frame.to)
+        def ends(answer: HeardFrame | None) -> None:
+            reply.tell(f"{_UNET}.Datagram{'Failure' if answer is None else 'Delivery'}Ntf", to=frame.to)
 
         job = Job(frame.payload, frame.to, frame.what, sent, dropped)
         if reply.agent == PHYSICAL:

@@ -45,8 +45,9 @@ NUMBERS = {
     b"ZS": Setting(0, 0, 7),  # the protocol number of messages that name none
     b"CA": Setting(0, 1300, 1700),  # m/s; 0: the speed of sound in the channel
 }
-# 1: on. With ZX a modem tells what is on the air, with ZU where it comes from, and with ZF protocol numbers.
-SWITCHES = {b"ZX": 1, b"ZU": 1, b"ZF": 0, b"ZA": 0}
+# 1: on. With ZX a modem tells what is on the air, with ZU where it comes from, and with ZF protocol numbers. That ZX is
+# off at first is an assumption: evins switches it on, and signetlabdei's driver takes RECVSTART for a message.
+SWITCHES = {b"ZX": 0, b"ZU": 1, b"ZF": 0, b"ZA": 0}
 
 
 class Settings:

@@ -64,6 +64,7 @@ def test_settings_are_answered_in_both_modes(program: Program) -> None:
 
 @pytest.mark.parametrize("command", [b"+++AT*SENDIM,5,2,ack,hello\n", b"+++AT*SENDIM,p0,5,2,ack,hello\n"])
 def test_an_instant_message_is_delivered(program: Program, water: Water, command: bytes) -> None:
+    assert program.asks(b"+++AT@ZX1\n") == b"+++AT@ZX:2:OK\r\n"
     assert program.asks(command) == b"+++AT*SENDIM:2:OK\r\n"
     request = water.sends()
     assert (request.to, request.payload) == (2, b"hello")
@@ -85,7 +86,7 @@ def test_an_instant_message_that_the_water_loses_has_failed(program: Program, wa
 
 
 def test_what_comes_is_told_and_acknowledged(program: Program, water: Water) -> None:
-    program.asks(b"+++AT?AL\n")
+    assert program.asks(b"+++AT@ZX1\n") == b"+++AT@ZX:2:OK\r\n"
     water.core.reached(Sound(water.at(0.0), water.at(0.1)))
     assert program.hears() == b"+++AT:9:RECVSTART\r\n"
     water.brings(3, b"hi\n", head=bytes((1, 7, INSTANT)), what=EvoLogics.link, left=1.0, came=1.2)
@@ -104,6 +105,7 @@ def test_what_comes_is_told_and_acknowledged(program: Program, water: Water) -> 
 
 
 def test_data_go_to_the_remote_address(program: Program, water: Water) -> None:
+    assert program.asks(b"+++AT@ZX1\n") == b"+++AT@ZX:2:OK\r\n"
     program.says(b"nobody has this\n")
     assert program.asks(b"+++AT!AR3\n") == b"+++AT!AR:2:OK\r\n"
     program.says(b"some data\n")
@@ -116,6 +118,7 @@ def test_data_go_to_the_remote_address(program: Program, water: Water) -> None:
 
 def test_bytes_of_the_data_mode_leave_without_a_line_feed(program: Program, water: Water) -> None:
     """Also in front of a command, and in pieces as long as the modem takes."""
+    assert program.asks(b"+++AT@ZX1\n") == b"+++AT@ZX:2:OK\r\n"
     assert program.asks(b"+++AT!AR3\n") == b"+++AT!AR:2:OK\r\n"
     program.says(b"raw")
     assert water.sends().payload == b"raw"
@@ -163,8 +166,7 @@ def test_a_port_may_begin_in_the_command_mode(commands: Program) -> None:
     assert commands.asks(b"AT?AL\n") == b"7\r\n"
 
 
-def test_notifications_may_be_switched_off(program: Program, water: Water) -> None:
-    assert program.asks(b"+++AT@ZX0\n") == b"+++AT@ZX:2:OK\r\n"
+def test_notifications_have_to_be_switched_on(program: Program, water: Water) -> None:
     assert program.asks(b"+++AT?ZX\n") == b"+++AT?ZX:1:0\r\n"
     assert program.asks(b"+++AT*SENDIM,1,2,noack,x\n") == b"+++AT*SENDIM:2:OK\r\n"
     water.sends()
@@ -176,7 +178,6 @@ def test_notifications_may_be_switched_off(program: Program, water: Water) -> No
 
 def test_a_message_has_the_protocol_number_of_its_sender(program: Program, water: Water) -> None:
     """For programs that name such numbers, as evins, and for those that ask for them."""
-    assert program.asks(b"+++AT@ZX0\n") == b"+++AT@ZX:2:OK\r\n"
     assert program.asks(b"+++AT*SENDIM,p3,1,2,ack,x\n") == b"+++AT*SENDIM:2:OK\r\n"
     assert water.sends().head[3:] == b"\3"
     water.brings(3, b"hi", head=bytes((1, 7, INSTANT, 5)), what=EvoLogics.link, left=1.0, came=1.2)
@@ -200,7 +201,7 @@ def test_strength_and_integrity_follow_from_the_level(
     program: Program, water: Water, snr: float, integrity: int
 ) -> None:
     """A signal at the limit has an integrity of 100, and what was not received has less."""
-    assert program.asks(b"+++AT?AL\n") == b"+++AT?AL:1:1\r\n"
+    assert program.asks(b"+++AT@ZX1\n") == b"+++AT@ZX:2:OK\r\n"
     water.brings(3, b"hi", what=INSTANT, left=1.0, came=1.2, level=Level(150.0, snr))
     assert program.hears().endswith(b",-71,%d\r\n" % integrity)
     assert b",-71,%d,0.0000,hi" % integrity in program.hears()
@@ -209,6 +210,7 @@ def test_strength_and_integrity_follow_from_the_level(
 
 
 def test_a_synchronous_message_leaves_at_its_time_and_says_when_it_came(program: Program, water: Water) -> None:
+    assert program.asks(b"+++AT@ZX1\n") == b"+++AT@ZX:2:OK\r\n"
     at_us = water.core.now_us + 300_000
     assert program.asks(b"+++AT*SENDIMS,2,2,%d,hi\n" % at_us) == b"+++AT*SENDIMS:2:OK\r\n"
     request = water.next()
@@ -224,7 +226,6 @@ def test_a_synchronous_message_leaves_at_its_time_and_says_when_it_came(program:
 
 
 def test_a_piggyback_message_travels_with_an_acknowledgement(program: Program, water: Water) -> None:
-    assert program.asks(b"+++AT@ZX0\n") == b"+++AT@ZX:2:OK\r\n"
     assert program.asks(b"+++AT*SENDPBM,4,3,back\n") == b"+++AT*SENDPBM:2:OK\r\n"
     assert not water.given
     water.brings(3, b"hi", head=bytes((1, 7, INSTANT, 0)), what=EvoLogics.link, left=1.0, came=1.2)
@@ -249,7 +250,6 @@ def test_an_acknowledgement_says_where_it_comes_from() -> None:
     """750 m away, to the north-east and below: the travel time is 0.5 s. The errors are below 6 standard deviations."""
     sigma = radians(0.5)
     with closing(Water(partial(EvoLogics, "data", sigma))) as water, closing(Program(water.port)) as program:
-        assert program.asks(b"+++AT@ZX0\n") == b"+++AT@ZX:2:OK\r\n"
         assert program.asks(b"+++AT*SENDIM,1,2,ack,x\n") == b"+++AT*SENDIM:2:OK\r\n"
         request = water.sends()
         away = (500.0, 500.0, 250.0)

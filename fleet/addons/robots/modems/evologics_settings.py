@@ -48,6 +48,13 @@ NUMBERS = {
 # 1: on. With ZX a modem tells what is on the air, with ZU where it comes from, and with ZF protocol numbers. That ZX is
 # off at first is an assumption: evins switches it on, and signetlabdei's driver takes RECVSTART for a message.
 SWITCHES = {b"ZX": 0, b"ZU": 1, b"ZF": 0, b"ZA": 0}
+# The words of AT&V for settings: those of Rock's test_UsblParser.cpp.
+_TITLES = {
+    b"Source Level": b"L", b"Source Level Control": b"LC", b"Gain": b"G", b"Carrier Waveform ID": b"C",
+    b"Local Address": b"AL", b"Highest Address": b"AM", b"Cluster Size": b"ZC", b"Packet Time": b"ZP",
+    b"Retry Count": b"RC", b"Retry Timeout": b"RT", b"Promiscuous Mode": b"RP", b"Sound Speed": b"CA",
+    b"IM Retry Count": b"RI", b"Hold Timeout": b"ZH", b"Idle Timeout": b"ZI",
+}  # fmt: skip
 
 
 class Settings:
@@ -75,6 +82,10 @@ class Settings:
             return self._switch(what, value)
         if name == b"!AL":
             return self._readdress(modem, value)
+        if sign == b"!" and what in SWITCHES:  # Rock writes AT!ZU, others AT@ZU
+            return self._switch(what, value)
+        if sign == b"&":
+            return self._all(modem, what)
         if sign != b"!" or what not in NUMBERS:
             return None
         if value is None or not NUMBERS[what].least <= value <= NUMBERS[what].most:
@@ -91,6 +102,20 @@ class Settings:
             return b"ERROR OUT OF RANGE"
         self.switches[what] = value
         return OK
+
+    def _all(self, modem: ModemCore, what: bytes) -> bytes | None:
+        """AT&V lists the settings in the words that Rock knows, with an empty line behind them. AT&W stores them, which
+        they are anyway, and with AT&F they are what they were at first."""
+        match what:
+            case b"W":
+                return OK
+            case b"F":
+                self.numbers, self.switches = dict(Settings().numbers), dict(SWITCHES)
+                return OK
+            case b"V":
+                known = {title: self._ask(modem, name) or b"" for title, name in _TITLES.items()}
+                return b"".join(b"%b: %b\r\n" % line for line in known.items())
+        return None
 
     @staticmethod
     def _readdress(modem: ModemCore, value: int | None) -> bytes:

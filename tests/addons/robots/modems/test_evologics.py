@@ -159,11 +159,25 @@ def test_a_port_may_begin_in_the_command_mode(commands: Program) -> None:
                          (b"AT?CA\n", b"1490"), (b"AT?AM\n", b"15"), (b"AT!C0\n", b"OK"), (b"AT@ZU1\n", b"OK"),
                          (b"AT?CLOCK\n", b"0"), (b"ATA\n", b"INITIATION LISTEN"), (b"AT?S\n", b"INITIATION LISTEN"),
                          (b"AT?AL\n", b"7"), (b"AT!RP1\n", b"ERROR OUT OF RANGE"), (b"ATH1\n", b"OK"),
-                         (b"AT@ZX2\n", b"ERROR OUT OF RANGE"), (b"AT&V\n", b"ERROR UNKNOWN COMMAND")):  # fmt: skip
+                         (b"AT@ZX2\n", b"ERROR OUT OF RANGE"), (b"AT&X\n", b"ERROR UNKNOWN COMMAND"),
+                         (b"AT!ZU1\n", b"OK"), (b"AT&W\n", b"OK")):  # fmt: skip
         assert commands.asks(said) == answer + b"\r\n"
     assert b"phy:" in commands.asks(b"ATI1\n")
     commands.says(b"ATZ0\n")  # no answer
     assert commands.asks(b"AT?AL\n") == b"7\r\n"
+
+
+def test_all_settings_are_listed_and_forgotten(program: Program) -> None:
+    """Rock's parser wants an empty line behind them, and two parts in each line."""
+    assert program.asks(b"+++AT!L2\n") == b"+++AT!L:2:OK\r\n"
+    program.says(b"+++AT&V\n")
+    told = [program.hears() for _ in range(16)]
+    head, _, first = told[0].rpartition(b":")[0].rpartition(b":")
+    assert head.startswith(b"+++AT&V:") and first == b"Source Level" and told[-1] == b"\r\n"
+    assert {b"Local Address: 1\r\n", b"Sound Speed: 1500\r\n", b"Highest Address: 3\r\n"} <= set(told)
+    assert told[0].endswith(b": 2\r\n") and all(len(line.split(b":")) == 2 for line in told[1:-1])
+    assert program.asks(b"+++AT&F\n") == b"+++AT&F:2:OK\r\n"
+    assert program.asks(b"+++AT?L\n") == b"+++AT?L:1:0\r\n"
 
 
 def test_notifications_have_to_be_switched_on(program: Program, water: Water) -> None:

@@ -245,11 +245,17 @@ class ModemCore:
             return f"there is no address {job.to}: they are 1 to {MOST_ADDRESS}"
         return ""
 
-    def deliver(self, job: Job, tries: int, then: Callable[[HeardFrame | None], None]) -> str:
+    def go_on(self, job: Job) -> str:
+        """Take one more piece of something that was taken before, whether there is room or not. Returns an empty text,
+        as `submit` does."""
+        self._put(job)
+        return ""
+
+    def deliver(self, job: Job, tries: int, then: Callable[[HeardFrame | None], None], *, goes_on: bool = False) -> str:
         """Send a payload until it is acknowledged. Returns why that cannot be; empty: `then` gets the acknowledgement,
-        or None if the payload was not delivered. The language has a link."""
+        or None if the payload was not delivered. The language has a link. `goes_on`: see `go_on`."""
         assert self._deliveries is not None
-        return self._deliveries.send(job, tries, then, self.submit)
+        return self._deliveries.send(job, tries, then, self.go_on if goes_on else self.submit)
 
     def answer_with(self, to: int, payload: bytes) -> str:
         """Let a payload travel with the next acknowledgement for a modem. The language has a link.

@@ -9,10 +9,13 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from itertools import count
 from typing import Any
 
-from fleet.addons.robots.modems.delivery import Job
+from fleet.addons.robots.modems.delivery import CLEARED, Job
+from fleet.addons.robots.modems.fragments import MOST_PIECES, Fragments
 from fleet.addons.robots.modems.line_port import Client
 from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
 from fleet.addons.robots.modems.unet_fields import CONTROL, DATA, WrongFieldError, place_of, read_frame, read_number
@@ -50,6 +53,7 @@ class Unet:
     def __init__(self) -> None:
         self._numbers = count(1)
         self._location: list[float] | None = None  # east, north, up [m]; None: the client has set none
+        self._fragments, self._clears = Fragments(), 0
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
@@ -148,6 +152,7 @@ class Unet:
             reply.agree(str(error))
 
     def _clear(self, reply: _Reply, _: dict[str, Any]) -> None:
+        self._clears += 1
         self._modem.clear()
         reply.perform("AGREE")
 
@@ -193,10 +198,53 @@ class Unet:
             reply.agree(modem.submit_at(job, modem.at_ns(frame.at_us or 0)) if timed else modem.submit(job))
         elif frame.at_us is not None:
             reply.agree(f"{LINK} sends when it can: a frame with a txTime goes to {PHYSICAL}")
-        elif frame.reliable and frame.to != EVERYBODY:
-            reply.agree(modem.deliver(Job(frame.payload, frame.to, frame.what), self._tries, ends))
+        elif len(frame.payload) > self._longest:
+            reply.agree(f"{len(frame.payload)} bytes are more than the MTU of {self._longest}")
         else:
-            reply.agree(modem.submit(modem.unacknowledged(job)))
+            self._send_pieces(reply, job, ends if frame.reliable and frame.to != EVERYBODY else None)
+
+    @property
+    def _longest(self) -> int:
+        """Bytes of the longest datagram of the link, which cuts it into frames as that of UnetStack does."""
+        return MOST_PIECES * self._modem.sea.mtu
+
+    def _send_pieces(self, reply: _Reply, whole: Job, ends: Callable[[HeardFrame | None], None] | None) -> None:
+        """Send a datagram of the link, one piece after the other. `ends` learns whether all are acknowledged; None:
+        they need not be."""
+        modem, began, pieces, turn = (
+            self._modem,
+            list[SentFrame](),
+            self._fragments.split(whole.payload, self._modem.sea.mtu),
+            self._clears,
+        )
+
+        def send(number: int) -> str:
+            head, data = pieces[number]
+            job = replace(whole, payload=data, head=head, sent=partial(sent, number))
+            if ends is None:
+                job = modem.unacknowledged(job)
+                return modem.go_on(job) if number else modem.submit(job)
+            job.sent, job.dropped = lambda _: None, lambda _: None
+            return modem.deliver(job, self._tries, partial(answered, number), goes_on=number > 0)
+
+        def sent(number: int, frame: SentFrame) -> None:
+            began.append(frame)
+            if number + 1 == len(pieces):  # it is told when all of it is on its way
+                whole.sent(began[0]._replace(airtime_ns=sum(each.airtime_ns for each in began)))
+            elif self._clears == turn:
+                send(number + 1)
+            else:
+                whole.dropped(CLEARED)
+
+        def answered(number: int, answer: HeardFrame | None) -> None:
+            assert ends is not None
+            last = number + 1 == len(pieces)
+            if answer is None or last or self._clears != turn:
+                ends(answer if last else None)
+            elif send(number + 1):
+                ends(None)
+
+        reply.agree(send(0))
 
     @property
     def _tries(self) -> int:
@@ -245,7 +293,7 @@ class Unet:
             return {"MTU": sea.mtu, "RTU": sea.mtu, "busy": modem.state != "idle", "time": modem.now_us,
                     "rxEnable": True, "propagationSpeed": sea.sound_speed, "timestampedTxDelay": 0.0}  # fmt: skip
         if agent == LINK:
-            return {"MTU": sea.mtu, "RTU": sea.mtu, "reliability": True,
+            return {"MTU": self._longest, "RTU": self._longest, "reliability": True,
                     "maxRetries": self._tries, "phy": PHYSICAL}  # fmt: skip
         return {}
 
@@ -271,8 +319,10 @@ class Unet:
 
     def heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """See `ModemLanguage`. A frame of the modem is a RxFrameNtf, which is a DatagramNtf with more in it."""
+        if (payload := self._fragments.join(frame) if linked else frame.payload) is None:
+            return
         data = {
-            "data": {"clazz": "[B", "data": base64.b64encode(frame.payload).decode()},
+            "data": {"clazz": "[B", "data": base64.b64encode(payload).decode()},
             "from": frame.src, "to": frame.to, "protocol": frame.what,
             "rxTime": self._modem.us(frame.begin_ns), "txTime": self._modem.us(frame.sent_ns),
         }  # fmt: skip

@@ -82,7 +82,7 @@ def test_parameters_that_programs_read(program: Program, water: Water) -> None:
     assert (program.get("phy", "MTU"), program.get("phy", "propagationSpeed")) == (64, SPEED)
     assert program.get("phy", "dataRate", index=2) == pytest.approx(800.0)
     assert program.get("phy", f"{UNET}.phy.PhysicalParam.busy") is False
-    assert program.get("uwlink", "MTU") == 64
+    assert program.get("uwlink", "MTU") == 64 * 64
     program.requests("org.arl.fjage.param.ParameterReq", "node", param="location", value=[3.0, 4.0, -7.0])
     assert program.message()[1]["value"] == [3.0, 4.0, -7.0]
     assert water.moved == [(4.0, 3.0, 7.0)]
@@ -335,6 +335,54 @@ def test_a_payload_beyond_the_mtu_is_refused(program: Program, water: Water, age
     for size, kind in ((mtu, "Message"), (mtu + 1, "RefuseRsp")):
         program.requests(f"{UNET}.DatagramReq", agent, to=2, data=[1] * size, reliability=reliability)
         assert program.message()[0] == kind
+
+
+@pytest.mark.parametrize("reliability", [True, False])
+def test_a_long_datagram_of_the_link_is_sent_in_pieces(program: Program, water: Water, reliability: bool) -> None:
+    """One after the other, whatever room there is, and told when all of them are on their way or acknowledged."""
+    program.say(action="wantsMessagesFor", agentIDs=["#uwlink__ntf"])
+    data = list(range(150))
+    program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, protocol=32, data=data, reliability=reliability)
+    assert program.message()[1]["perf"] == "AGREE"
+    pieces = []
+    for number in range(3):
+        request = water.sends(at_s=1.0 + number)
+        pieces.append(request)
+        if reliability:
+            assert not water.given
+            answer = bytes((0, request.head[1], 32))
+            water.brings(2, b"", head=answer, what=Unet.link, left=2.0 + number, came=2.2 + number)
+    kind, told = program.message()
+    if reliability:
+        assert kind == "DatagramDeliveryNtf"
+    else:
+        assert (kind, told["txTime"], told["duration"]) == ("TxFrameNtf", 1_000_000, 300.0)
+    assert [len(piece.payload) for piece in pieces] == [64, 64, 22]
+    for piece in pieces:
+        water.brings(3, piece.payload, head=piece.head, what=piece.what, left=5.0, came=5.2)
+    kind, told = program.message()
+    assert kind == "DatagramNtf" and base64.b64decode(told["data"]["data"]) == bytes(data)
+
+
+@pytest.mark.parametrize("reliability", [True, False])
+def test_the_pieces_of_a_datagram_end_with_the_first_that_is_lost_or_cleared(
+    program: Program, water: Water, reliability: bool
+) -> None:
+    kind = f"{UNET}.DatagramReq"
+    program.requests(kind, "uwlink", to=2, data=[1] * 150, reliability=reliability)
+    assert program.message()[1]["perf"] == "AGREE"
+    for _ in range(3 if reliability else 1):
+        water.core.dropped(water.next().tag, Cause.MUTE)
+    assert program.message()[0] == "DatagramFailureNtf" and not water.given
+    program.requests(kind, "uwlink", to=2, data=[1] * 150, reliability=reliability)
+    assert program.message()[1]["perf"] == "AGREE"
+    request = water.next()
+    program.requests(f"{UNET}.ClearReq", "phy")
+    told = [program.message()[0]]
+    if not reliability:  # its first piece is in the channel, and goes on
+        water.core.sent(SentFrame(request.tag, water.at(1.0), 100_000_000))
+    told.append(program.message()[0])
+    assert sorted(told) == ["DatagramFailureNtf", "Message"] and not water.given
 
 
 def test_a_name_that_nobody_has_is_no_address(program: Program) -> None:

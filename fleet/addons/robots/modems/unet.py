@@ -268,6 +268,7 @@ class Unet:
         values = self._values(reply.agent, index)
         readonly = [name for name in values if (reply.agent, name) not in _SETTABLE]
         names = [str(one["param"]) for one in asked] or list(values)  # with the package before them, as they were asked
+        values |= {"name": reply.agent}  # each agent has it, and none lists it
         found = {name: values.get(name.rpartition(".")[2]) for name in names}
         first = next(iter(names), None)
         rest = {name: value for name, value in found.items() if name != first}

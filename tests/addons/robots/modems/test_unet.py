@@ -82,6 +82,7 @@ def test_parameters_that_programs_read(program: Program, water: Water) -> None:
     assert (program.get("phy", "MTU"), program.get("phy", "propagationSpeed")) == (64, SPEED)
     assert program.get("phy", "dataRate", index=2) == pytest.approx(800.0)
     assert program.get("phy", f"{UNET}.phy.PhysicalParam.busy") is False
+    assert program.get("phy", "name") == "phy"  # unetjs asks for it
     assert program.get("uwlink", "MTU") == 64 * 64
     program.requests("org.arl.fjage.param.ParameterReq", "node", param="location", value=[3.0, 4.0, -7.0])
     assert program.message()[1]["value"] == [3.0, 4.0, -7.0]

@@ -107,6 +107,22 @@ def test_ten_modems_that_talk_at_random_are_an_aloha(tmp_path: Path, slot_s: flo
 
 
 @pytest.mark.slow
+def test_programs_with_slots_of_their_own_never_collide(tmp_path: Path) -> None:
+    """Each frame begins at its time, whatever the back-off of the channel is."""
+    pytest.importorskip("unetpy")
+    (tmp_path / "quick.toml").write_text(QUICK, "utf-8")
+    ports = [free_port() for _ in range(4)]
+    nodes = {f"n{k}": {"modem": {"unet": port}, "place": f"{k} 0 10 m"} for k, port in enumerate(ports)}
+    water = {"acoustic": {"modem": str(tmp_path / "quick.toml"), "backoff": "300 ms", "queue": 10}}
+    with Stack(tmp_path, nodes=nodes, network=water, tick="1 ms").begun() as stack:
+        found = says("tdma_program.py", *ports)
+        result = stack.end()
+    assert len(found["late_us"]) == 40 and all(0 <= us <= 1_000 for us in found["late_us"])
+    links = result.ledger.values()
+    assert sum(link.delivered for link in links) == sum(link.sent for link in links) == 3 * 40
+
+
+@pytest.mark.slow
 def test_ranges_of_a_vehicle_that_moves_are_those_of_the_way(tmp_path: Path) -> None:
     """At 2 m/s. The other modem is at the origin, so a range is the place at some time between request and answer."""
     pytest.importorskip("unetpy")

@@ -216,7 +216,7 @@ class EvoLogics:
     def _go_on(self) -> None:
         """Give the modem what it takes of the data."""
         to, most = self._settings.numbers[b"AR"], max(1, self._modem.sea.mtu)
-        while to and self._stream:
+        while to and self._stream and self._modem.room > 0:
             piece = self._stream[:most]
             if self._submit(to, piece, self._settings.numbers[b"ZS"], instant=False, answered=True) != OK:
                 return

@@ -48,6 +48,8 @@ class Fragments:
         if len(frame.head) < _HEAD:
             return frame.payload
         number, piece, count = frame.head[:_HEAD]
+        if piece >= count:
+            return None  # no piece of ours
         have = self._coming.setdefault((frame.src, number), {})
         if piece == 0:
             have.clear()  # a number comes again, and the first piece comes first

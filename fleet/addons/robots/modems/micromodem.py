@@ -34,6 +34,7 @@ MINI, FRAME, ANSWER = (
     FIRST_OWN + 7,
 )  # protocol numbers: mini packets, frames of packets, acknowledgements
 _HEAD = 5  # bytes
+_MOST_FRAMES = 8  # of a packet
 _WANTS_ANSWER, _SECOND = 1, 2  # flags: acknowledged; a packet of the second generation (TDP)
 DATA_TIMEOUT_S = 2.0  # for the data of a frame that was asked for
 _LATE_S = 1.0  # after the last frame could have come, a packet with missing ones is told
@@ -417,6 +418,8 @@ class MicroModem:
 
     def _hears_frame(self, frame: HeardFrame, to: int) -> None:
         packet, rate, flags, number, count = frame.head
+        if not 1 <= number <= count <= _MOST_FRAMES:
+            return  # no frame of ours
         coming = self._coming.get(frame.src)
         if coming is None or coming.packet != packet:
             self._end(frame.src, to, frame.end_ns)
@@ -452,11 +455,12 @@ class MicroModem:
             told = ";".join(
                 f"{int(data is not None)};{len(data or b'')};{(data or b'').hex().upper()}" for data in each
             )
-            self._say("CARDP", src, to, coming.rate, coming.flags & _WANTS_ANSWER, 0, told)
+            # acomms reads the last field but one, and Goby3 both.
+            self._say("CARDP", src, to, coming.rate, coming.flags & _WANTS_ANSWER, 0, told, "")
         self._statistics(0, coming.rate, src, to, coming.count, coming.count - len(coming.frames), at_ns)
         if coming.flags & _WANTS_ANSWER and to == self._modem.address:
             bits = sum(1 << (number - 1) for number in coming.frames)
-            self._modem.submit(Job(bytes((bits & 255,)), src, ANSWER))
+            self._modem.go_on(Job(bytes((bits & 255,)), src, ANSWER))
 
     def pinged(self, frame: HeardFrame) -> None:
         """See `ModemLanguage`."""

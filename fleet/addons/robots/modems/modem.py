@@ -20,7 +20,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from heapq import heappop, heappush
+from functools import partial
+from heapq import heapify, heappop, heappush
 from itertools import cycle
 from pathlib import Path
 from struct import Struct
@@ -42,6 +43,7 @@ _MOST_OWN = 64  # answers and second tries that wait at most
 # What has a time is given to the channel so long before it, since that takes payloads at the ticks of the run.
 _LEAD_NS = 50_000_000
 _MOST_REMARKS = 8
+_MOST_WAIT_S = 3600.0  # the system waits for no more than some weeks, and a program may ask for a time beyond them
 SLACK_S = 5.0  # beside travel and airtime, until a range counts as missing: others may be on the air
 
 
@@ -183,6 +185,11 @@ class ModemCore:
         return bool(self._given or self._waiting or self._timed)
 
     @property
+    def room(self) -> int:
+        """How many payloads it takes now."""
+        return self.sea.queue + (self._now is None) - len(self._waiting)
+
+    @property
     def now_us(self) -> int:
         """The time by its clock [us], which begins when the modems are switched on."""
         return self.us(monotonic_ns())
@@ -205,7 +212,7 @@ class ModemCore:
         for job in jobs:
             if why := self._unfit(job):
                 return why
-        if len(jobs) > self.sea.queue + (self._now is None) - len(self._waiting):
+        if len(jobs) > self.room:
             self._refused += len(jobs)
             return "the queue is full"
         for job in jobs:
@@ -234,7 +241,7 @@ class ModemCore:
             return "the queue is full"
         job.at_ns = at_ns
         self._timed.append(job)
-        self._at(at_ns - _LEAD_NS, lambda: self._give_timed(job))
+        self._at(at_ns - _LEAD_NS, partial(self._give_timed, job))
         return ""
 
     def _unfit(self, job: Job) -> str:
@@ -281,6 +288,8 @@ class ModemCore:
     def clear(self) -> None:
         """Give up what waits, and what waits for its acknowledgement; what is in the channel goes on."""
         waiting, self._waiting, self._timed = [*self._waiting, *self._timed], deque(), []
+        self._alarms = [one for one in self._alarms if getattr(one[2], "func", None) != self._give_timed]
+        heapify(self._alarms)
         if self._deliveries is not None:
             self._deliveries.clear()
         for job in waiting:
@@ -389,4 +398,5 @@ class ModemCore:
     def _tick(self) -> float | None:
         while self._alarms and self._alarms[0][0] <= monotonic_ns():
             self.line_port.do(heappop(self._alarms)[2])
-        return max(0.0, (self._alarms[0][0] - monotonic_ns()) / 1e9) if self._alarms else None
+        wait_s = (self._alarms[0][0] - monotonic_ns()) / 1e9 if self._alarms else None
+        return None if wait_s is None else min(_MOST_WAIT_S, max(0.0, wait_s))

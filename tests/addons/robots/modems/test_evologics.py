@@ -127,6 +127,7 @@ def test_bytes_of_the_data_mode_leave_without_a_line_feed(program: Program, wate
     assert water.sends().payload == b"more"
     program.says(b"x" * 200)
     assert [len(water.sends().payload) for _ in range(3)] == [64, 64, 64]
+    assert not water.core.remark  # what waits is not refused
 
 
 def test_the_escape_needs_no_line_feed(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:

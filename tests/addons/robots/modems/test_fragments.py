@@ -34,6 +34,11 @@ def test_a_piece_that_is_missing_keeps_the_payload_back_and_the_next_one_is_whol
     assert [receiver.join(frame(*piece, src=3)) for piece in lost][-1] == b"a" * 30
 
 
+def test_a_piece_that_no_modem_sends_is_none() -> None:
+    assert Fragments().join(frame(bytes((1, 0, 0)), b"x")) is None
+    assert Fragments().join(frame(bytes((1, 2, 2)), b"x")) is None
+
+
 def test_numbers_come_again_and_what_never_ends_is_forgotten() -> None:
     sender, receiver = Fragments(), Fragments()
     for number in range(600):

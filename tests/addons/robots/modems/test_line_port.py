@@ -90,11 +90,12 @@ def test_who_goes_in_mid_transmission_has_sent_it(water: Water, language: Callab
 @given(
     what=st.integers(0, 80),
     payload=st.one_of(st.binary(max_size=64), st.lists(st.integers(0, 9), max_size=12).map(bytes)),
+    head=st.lists(st.integers(0, 9), max_size=8).map(bytes),
 )
 def test_a_frame_of_any_content_disturbs_no_modem(
-    water: Water, language: Callable[[], ModemLanguage], what: int, payload: bytes
+    water: Water, language: Callable[[], ModemLanguage], what: int, payload: bytes, head: bytes
 ) -> None:
-    water.brings(2, payload, what=what, left=1.0, came=1.1)
+    water.brings(2, payload, head=head, what=what, left=1.0, came=1.1, away=(1.0, 0.0, 0.0))
     assert answers(water, language) and not water.core.remark
 
 

@@ -307,7 +307,23 @@ def test_a_packet_of_the_second_generation(program: Program, water: Water) -> No
     assert (request.head, request.payload) == (bytes((1, 1, 2, 1, 1)), bytes.fromhex("DEADBEEF"))
     assert [program.hears()[0] for _ in range(3)] == ["CATXP", "CATXF", "CAXST"]
     water.brings(2, b"\x01\x02", head=bytes((1, 1, 2, 1, 1)), what=FRAME, left=1.0, came=1.5)
-    assert program.hears() == ["CARDP", "2", "1", "1", "0", "0", "1;2;0102"]
+    assert program.hears() == ["CARDP", "2", "1", "1", "0", "0", "1;2;0102", ""]
+
+
+def test_a_full_queue_holds_up_no_acknowledgement(program: Program, water: Water) -> None:
+    """Two mini packets wait, and one is in the channel."""
+    for _ in range(3):
+        program.says("CCMUC", 1, 2, "1ABC")
+        assert program.hears()[0] == "CAMUC"
+    water.brings(2, b"A", head=bytes((9, 1, 1, 1, 1)), what=FRAME, left=1.0, came=1.5)
+    assert [water.sends().what for _ in range(4)] == [MINI, MINI, MINI, ANSWER] and not water.core.remark
+
+
+@pytest.mark.parametrize("head", [(9, 1, 1, 0, 1), (9, 1, 1, 2, 1), (9, 1, 1, 1, 9), (9, 1, 1, 1, 0), (9, 1, 1)])
+def test_a_head_that_no_modem_has_is_no_frame(program: Program, water: Water, head: tuple[int, ...]) -> None:
+    water.brings(2, b"A", head=bytes(head), what=FRAME, left=1.0, came=1.5)
+    program.says("CCCFQ", "SRC")
+    assert program.hears()[0] == "CACFG" and not water.core.remark
 
 
 def test_a_terminal_is_opened_by_its_path_and_is_gone_afterwards(tmp_path: Path) -> None:
@@ -335,7 +351,7 @@ def test_frames_of_two_packets_make_no_packet(program: Program, water: Water) ->
     water.brings(2, b"A", head=bytes((9, 1, 2, 1, 2)), what=FRAME, left=1.0, came=1.5)
     water.brings(2, b"B", head=bytes((10, 1, 2, 2, 2)), what=FRAME, left=2.0, came=2.5)
     water.brings(2, b"C", head=bytes((11, 1, 2, 1, 1)), what=FRAME, left=3.0, came=3.5)
-    told = [line[-1] for line in (program.hears() for _ in range(6)) if line[0] == "CARDP"]
+    told = [line[-2] for line in (program.hears() for _ in range(6)) if line[0] == "CARDP"]
     assert told == ["1;1;41;0;0;", "0;0;;1;1;42", "1;1;43"]
 
 

@@ -178,6 +178,19 @@ def test_a_time_that_cannot_be_kept_is_refused_or_told(program: Program, water: 
     assert program.message()[1]["reason"] == "the modem was still sending something else at that time"
 
 
+def test_a_time_that_is_years_away_keeps_the_modem_alive(program: Program, water: Water) -> None:
+    """And what is cleared leaves nothing behind."""
+    for _ in range(3):
+        program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=10**19)
+        assert program.message()[1]["perf"] == "AGREE"
+        program.requests(f"{UNET}.ClearReq", "phy")
+        assert [program.message()[1].get("reason") for _ in range(2)] == ["cleared", None]
+    assert program.asks("containsAgent", agentID="phy")["answer"] is True
+    program.requests(f"{UNET}.DatagramReq", "phy", to=2, data=[2])
+    assert program.message()[1]["perf"] == "AGREE" and water.next().payload == b"\x02"
+    assert len(water.core._alarms) <= 1
+
+
 def test_a_modem_with_tries_keeps_no_time(program: Program, water: Water) -> None:
     water.core.sea = water.core.sea._replace(modem=replace(water.core.sea.modem, tries=3))
     program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=10**12)

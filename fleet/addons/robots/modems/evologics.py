@@ -270,6 +270,7 @@ class EvoLogics:
             end_us = self._modem.us(frame.at_ns + frame.airtime_ns)
             said = b"SENDEND,%d,%b,%d,%d" % (to, kind, end_us, frame.airtime_ns // 1000)
             self._modem.after(frame.airtime_ns / 1e9, lambda: self._tell(said, b"ZX"))
+            self._go_on()
 
         return sent
 

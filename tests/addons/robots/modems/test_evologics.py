@@ -130,6 +130,16 @@ def test_bytes_of_the_data_mode_leave_without_a_line_feed(program: Program, wate
     assert not water.core.remark  # what waits is not refused
 
 
+def test_data_that_found_no_room_leave_when_there_is_some(program: Program, water: Water) -> None:
+    """Nothing of them is on its way, so no acknowledgement calls for them."""
+    assert program.asks(b"+++AT!AR3\n") == b"+++AT!AR:2:OK\r\n"
+    for _ in range(3):
+        assert program.asks(b"+++AT*SENDIM,1,2,noack,x\n") == b"+++AT*SENDIM:2:OK\r\n"
+    program.says(b"data\n")
+    assert program.asks(b"+++AT?AR\n") == b"+++AT?AR:1:3\r\n"
+    assert [water.sends().payload for _ in range(4)] == [b"x", b"x", b"x", b"data\n"]
+
+
 def test_the_escape_needs_no_line_feed(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
     """As Rock's driver writes it, with a second before and behind it."""
     monkeypatch.setattr("fleet.addons.robots.modems.evologics.ESCAPE_S", 0.0)

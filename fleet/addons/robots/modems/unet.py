@@ -42,6 +42,9 @@ _MOST_TRIES = 3  # of the link, where the modem itself does not acknowledge
 # fjagepy 2.2 drops an answer that comes before its own thread waits for it, and raises KeyError. A container in Java is
 # slower than that, and so are we.
 ANSWER_S = 0.02
+# It looks into its queue, and begins to wait a moment later: an answer in between is never found, and the program gets
+# None after its timeout. So answers to requests leave so much later. What is requested is done at once.
+REPLY_S = 0.005
 
 
 class Unet:
@@ -348,7 +351,9 @@ class _Reply:
         self._to, self._request = str(data.get("sender")), data.get("msgID")
 
     def tell(self, name: str, /, **data: Any) -> None:
-        self._node._tell(self._client, name, self.agent, self._to, inReplyTo=self._request, **data)
+        whole = data | {"inReplyTo": self._request}
+        say = partial(self._node._tell, self._client, name, self.agent, self._to, **whole)
+        self._node._modem.after(REPLY_S, say)
 
     def perform(self, performative: str) -> None:
         self.tell(f"{_FJAGE}.Message", perf=performative)

@@ -7,6 +7,7 @@ and what is said while nobody reads is lost, as on a serial line.
 
 from __future__ import annotations
 
+import errno
 import os
 import selectors
 import socket
@@ -18,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
+from time import monotonic
 from typing import Any, Protocol
 
 from netem.errors import BusError
@@ -27,6 +29,8 @@ MOST_WAITING = 1 << 20  # bytes that a client leaves waiting
 MOST_CLIENTS = 64
 MOST_UNREAD = 1 << 12  # bytes on a terminal that nobody reads, beside what its kernel keeps
 _READ = 1 << 16
+_FULL = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)  # there is no room for one more connection
+_REST_S = 0.5  # until a client that waits is looked for again
 
 
 class Client:
@@ -76,6 +80,7 @@ class LinePort:
         self._selector.register(self._woken, selectors.EVENT_READ, self._drain)
         self._thread = Thread(target=self._serve, daemon=True)
         self._over = False
+        self._resting: tuple[socket.socket, float] | None = None  # who is not listened to, and until when [s]
         self.failed = False  # whether something that happened has found a defect of ours
         self._link: Path | None = None
         self._terminal = ""  # what the link leads to
@@ -95,7 +100,7 @@ class LinePort:
         listening.listen(16)
         listening.setblocking(False)
         self.port = listening.getsockname()[1]
-        self._selector.register(listening, selectors.EVENT_READ, lambda: self._accept(listening))
+        self._attend(listening)
 
     def open_terminal(self, path: Path) -> None:
         """Make a pseudo terminal that programs open by a path. Raises BusError: something else is there."""
@@ -154,6 +159,8 @@ class LinePort:
         self.post(lambda: None)
         if self._thread.is_alive():
             self._thread.join(2.0)
+        if self._resting is not None:
+            self._resting[0].close()
         for key in list(self._selector.get_map().values()):
             with suppress(OSError):
                 if isinstance(key.fileobj, socket.socket):
@@ -167,8 +174,19 @@ class LinePort:
     def _serve(self) -> None:
         while not self._over:
             wait_s = self._tick()
+            if self._resting is not None:
+                listening, until_s = self._resting
+                left_s = until_s - monotonic()
+                if left_s <= 0.0:
+                    self._resting = None
+                    self._attend(listening)
+                else:
+                    wait_s = left_s if wait_s is None else min(wait_s, left_s)
             for key, _ in self._selector.select(wait_s):
                 key.data()
+
+    def _attend(self, listening: socket.socket) -> None:
+        self._selector.register(listening, selectors.EVENT_READ, lambda: self._accept(listening))
 
     def _drain(self) -> None:
         with suppress(BlockingIOError):
@@ -188,7 +206,10 @@ class LinePort:
     def _accept(self, listening: socket.socket) -> None:
         try:
             made, _ = listening.accept()
-        except OSError:
+        except OSError as error:
+            if error.errno in _FULL:  # the client waits still, so that the thread would try again without an end
+                self._selector.unregister(listening)
+                self._resting = listening, monotonic() + _REST_S
             return
         if len(self.clients) >= MOST_CLIENTS:
             made.close()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -11,6 +14,7 @@ from hypothesis import strategies as st
 from modem_water import LIMIT_S, ModemClient, Water
 from waiting import wait_for
 
+from fleet.addons.robots.modems import line_port
 from fleet.addons.robots.modems.evologics import EvoLogics
 from fleet.addons.robots.modems.line_port import MOST_LINE
 from fleet.addons.robots.modems.micromodem import MicroModem
@@ -111,3 +115,21 @@ def test_a_defect_of_ours_costs_one_event_and_is_told(
     assert (
         answers(water, language) and water.core.remark == "its modem failed in part: the traceback is in log/relay.log"
     )
+
+
+def test_without_descriptors_the_thread_rests_and_serves_the_client_later(
+    water: Water, language: Callable[[], ModemLanguage], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client that waits in the system's queue made the thread try to accept it without an end."""
+    tries: list[int] = []
+    real = line_port.socket.socket.accept
+
+    def accept(listening: socket.socket) -> Any:
+        tries.append(1)
+        if len(tries) == 1:
+            raise OSError(errno.EMFILE, "Too many open files")
+        return real(listening)
+
+    monkeypatch.setattr(line_port.socket.socket, "accept", accept)
+    assert answers(water, language)
+    assert len(tries) == 2

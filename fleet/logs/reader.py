@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import stat
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,7 +15,7 @@ import numpy as np
 import yaml
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
-from fleet.errors import FleetError
+from fleet.errors import FleetError, printable
 from fleet.logs.digest import Digest
 from fleet.logs.other import as_mcap
 from fleet.logs.records import MAGIC, Block, renumbered, together
@@ -299,6 +300,10 @@ def _bag(folder: Path) -> list[Path]:
         raise LogReadError(
             f"{folder} is a bag with the storage {kind!r}; expected plain MCAP files, which ros2 bag convert makes"
         )
+    name, count = Counter(names).most_common(1)[0]
+    if count > 1:
+        where = folder / "metadata.yaml"
+        raise LogReadError(f"{where} names {printable(name)} {count} times: a file is a part of a bag once")
     return [folder / name for name in names]
 
 

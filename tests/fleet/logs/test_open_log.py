@@ -301,6 +301,7 @@ LAUGHS += ", storage_identifier: *a39, relative_file_paths: [a.mcap]}"
         ("{storage_identifier: mcap, relative_file_paths: [../../secret.mcap]}", "bag/secret.mcap: No such file"),
         ("{storage_identifier: mcap, relative_file_paths: [1]}", "not that of a bag"),
         ("{storage_identifier: mcap, relative_file_paths: []}", "not that of a bag"),
+        ("{storage_identifier: mcap, relative_file_paths: [a.mcap, b.mcap, x/a.mcap]}", "names a.mcap 2 times"),
         ("[", "not that of a bag"),
         (LAUGHS, "not that of a bag"),
     ],

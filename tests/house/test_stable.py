@@ -153,13 +153,20 @@ def test_a_log_of_0_1_verifies() -> None:
 
 
 def test_one_version_everywhere() -> None:
+    """That of the newest release; what is not released yet has a later one, which says so."""
     version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
     citation = (ROOT / "CITATION.cff").read_text("utf-8")
-    changes = re.findall(r"^## ([\d.]+) \(([^)]+)\)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    log = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    changes = re.findall(r"^## ([\d.]+) \(([^)]+)\)$", log, re.MULTILINE)
     package = (ROOT / "fleet/addons/robots/ros2/uuv_fleet_msgs" / "package.xml").read_text("utf-8")
-    assert changes[0][0] == version
-    assert f"\nversion: {version}\ndate-released: {changes[0][1]}\n" in citation
-    assert f"<version>{version}</version>" in package
+    released, on = changes[0]
+    if "\n## Unreleased\n" in log:
+        later = re.fullmatch(r"(\d+)\.(\d+)\.(\d+)\.dev\d+", version)
+        assert later is not None and tuple(map(int, later.groups())) > tuple(map(int, released.split(".")))
+    else:
+        assert released == version
+    assert f"\nversion: {released}\ndate-released: {on}\n" in citation
+    assert f"<version>{released}</version>" in package
 
 
 def test_the_page_names_tests_that_exist() -> None:

@@ -66,7 +66,7 @@ class Shrinker:
         self._check = ""
         refuse(scenario, "a run of a study", stacks=True)
         self._tree, self._links = tree_of(scenario), scenario.graph.links
-        self._of_nodes = bool(scenario.nodes)  # whose programs know how many they are
+        self._of_nodes = bool(scenario.nodes or scenario.spec.names)  # whose programs know how many they are
 
     def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
         """Make the scenario smaller until no step helps, or `most_runs` runs were made. `check`: this check must still

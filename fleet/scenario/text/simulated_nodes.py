@@ -133,7 +133,8 @@ def _agent(
             "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{_ROUTER}"]',
         } | environment
     agent: dict[str, Any] = _program(words, here, section.folder)
-    agent["env"] = environment
+    if environment:
+        agent["env"] = environment
     told = {name: each for name, each in (spec.signals or {}).items() if names[number - 1] in nodes_of(each.of, names)}
     lines = {
         name: {"line": each.line} | ({"count": True} if each.count else {})

@@ -17,6 +17,7 @@ _HEAD = 3  # bytes
 CLEARED = "cleared"
 _ACKNOWLEDGEMENT, _CARRIED, _ALONE = 0, 1, 2
 _NUMBERS = 256
+UNANSWERED = f"{_NUMBERS} payloads wait for their acknowledgements"
 _REMEMBERED = 128  # numbers of a sender that are not taken again
 _WAIT_S = 2.0  # beside travel and airtime, until an acknowledgement counts as missing
 
@@ -72,7 +73,7 @@ class Deliveries:
         free = (n % _NUMBERS for n in range(self._last + 1, self._last + 1 + _NUMBERS))
         number = next((n for n in free if n not in self._waiting), None)
         if number is None:
-            return f"{_NUMBERS} payloads wait for their acknowledgements"
+            return UNANSWERED
 
         def sent(frame: SentFrame) -> None:
             job.sent(frame)

@@ -13,10 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from fleet.addons.robots.modems.delivery import CLEARED, Job
+from fleet.addons.robots.modems.delivery import CLEARED, UNANSWERED, Job
 from fleet.addons.robots.modems.evologics_settings import OK, VERSIONS, Settings
 from fleet.addons.robots.modems.line_port import MOST_LINE, Client
-from fleet.addons.robots.modems.modem import FIRST_OWN, PIGGYBACK, ModemCore
+from fleet.addons.robots.modems.modem import FIRST_OWN, FULL, PIGGYBACK, ModemCore
 from fleet.addons.robots.modems.usbl import Fix, measure_fix
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, Level, SentFrame, Sound
@@ -38,6 +38,7 @@ _COMMAND = b"+++AT"
 _ESCAPE = b"+++"
 BAD, NOT_HERE, RANGE, BUSY = b"ERROR WRONG FORMAT", b"ERROR UNKNOWN COMMAND", b"ERROR OUT OF RANGE", b"BUSY DELIVERING"
 LISTENS = b"INITIATION LISTEN"  # DUNE, evins and Rock wait for it; that it never changes is an assumption
+_PASSES = (FULL, UNANSWERED)  # the reasons that are gone later
 PAUSE_S = 0.05  # bytes of the data mode without a line feed are sent after it
 ESCAPE_S = 1.0  # around `+++`, as Rock's Driver.cpp waits before and behind it
 # Rock's test has an RSSI of -54 dB from 14 m: of 184 dB re 1 uPa at 1 m, the level of `s2c`, 167 dB arrive there.
@@ -244,8 +245,8 @@ class EvoLogics:
         job = Job(data, address, INSTANT if instant else BURST, self._told(to, b"im" if instant else b"burst"), dropped)
         job.head = bytes((pid,))
         answered &= address != EVERYBODY
-        if self._modem.deliver(job, 1, ends) if answered else self._modem.submit(job):
-            return BUSY if self._modem.waits else RANGE
+        if why := self._modem.deliver(job, 1, ends) if answered else self._modem.submit(job):
+            return BUSY if why in _PASSES else RANGE
         self._waiting += answered
         return OK
 
@@ -258,8 +259,8 @@ class EvoLogics:
         job = Job(data, EVERYBODY if to == BROADCAST else to, TIMED, self._told(to, b"ims"), dropped)
         job.head = bytes((pid,))
         modem = self._modem
-        if modem.submit(job) if at_us is None else modem.submit_at(job, modem.at_ns(at_us)):
-            return BUSY if modem.waits else RANGE
+        if why := modem.submit(job) if at_us is None else modem.submit_at(job, modem.at_ns(at_us)):
+            return BUSY if why in _PASSES else RANGE
         return OK
 
     def _told(self, to: int, kind: bytes) -> Callable[[SentFrame], None]:

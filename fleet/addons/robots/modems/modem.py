@@ -42,6 +42,7 @@ _ANSWER = Struct("<Bq")  # the number of the request, and when it had come [ns]
 _MOST_OWN = 64  # answers and second tries that wait at most
 # What has a time is given to the channel so long before it, since that takes payloads at the ticks of the run.
 _LEAD_NS = 50_000_000
+FULL = "the queue is full"
 _MOST_REMARKS = 8
 _MOST_WAIT_S = 3600.0  # the system waits for no more than some weeks, and a program may ask for a time beyond them
 SLACK_S = 5.0  # beside travel and airtime, until a range counts as missing: others may be on the air
@@ -180,11 +181,6 @@ class ModemCore:
         return "receiving" if now < self._hears_until_ns else "idle"
 
     @property
-    def waits(self) -> bool:
-        """Whether something waits for its transmission."""
-        return bool(self._given or self._waiting or self._timed)
-
-    @property
     def room(self) -> int:
         """How many payloads it takes now."""
         return self.sea.queue + (self._now is None) - len(self._waiting)
@@ -214,7 +210,7 @@ class ModemCore:
                 return why
         if len(jobs) > self.room:
             self._refused += len(jobs)
-            return "the queue is full"
+            return FULL
         for job in jobs:
             self._put(job)
         return ""
@@ -238,7 +234,7 @@ class ModemCore:
             return f"the time is past: it is {self.us(now)} us, and {self.us(at_ns)} us were asked for"
         if len(self._timed) >= self.sea.queue:
             self._refused += 1
-            return "the queue is full"
+            return FULL
         job.at_ns = at_ns
         self._timed.append(job)
         self._at(at_ns - _LEAD_NS, partial(self._give_timed, job))

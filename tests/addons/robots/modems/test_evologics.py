@@ -307,6 +307,13 @@ def test_a_message_of_a_wrong_form_is_refused(program: Program, wrong: bytes) ->
     assert b":ERROR WRONG FORMAT\r\n" in program.asks(wrong)
 
 
+@pytest.mark.parametrize("command", [b"*SEND,65,2," + b"x" * 65, b"*SENDIM,1,300,noack,x", b"*SENDIMS,1,2,1,x"])
+def test_what_never_can_be_sent_is_not_busy(program: Program, command: bytes) -> None:
+    """Else a driver would try for ever, also while something else waits."""
+    assert program.asks(b"+++AT*SENDIM,1,2,noack,x\n") == b"+++AT*SENDIM:2:OK\r\n"
+    assert program.asks(b"+++AT" + command + b"\n").endswith(b":18:ERROR OUT OF RANGE\r\n")
+
+
 def test_a_full_queue_is_busy(program: Program) -> None:
     answers = [program.asks(b"+++AT*SENDIM,1,2,noack,x\n") for _ in range(4)]
     assert answers == [b"+++AT*SENDIM:2:OK\r\n"] * 3 + [b"+++AT*SENDIM:15:BUSY DELIVERING\r\n"]

@@ -11,10 +11,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from fleet.addons.robots.modems.delivery import CLEARED, UNANSWERED, Job
 from fleet.addons.robots.modems.evologics_settings import OK, VERSIONS, Settings
+from fleet.addons.robots.modems.fragments import MOST_PIECES, Fragments
 from fleet.addons.robots.modems.line_port import MOST_LINE, Client
 from fleet.addons.robots.modems.modem import FIRST_OWN, FULL, PIGGYBACK, ModemCore
 from fleet.addons.robots.modems.usbl import Fix, measure_fix
@@ -76,6 +78,7 @@ class EvoLogics:
         self._last_failed = False  # whether the last one of them has failed
         self._delivered = self._fixes = 0
         self._stream = b""  # of the data mode, not given to the modem yet
+        self._fragments, self._clears = Fragments(), 0
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
@@ -157,6 +160,7 @@ class EvoLogics:
                 client.state.data = True
             case b"Z":
                 self._stream = b""
+                self._clears += 1
                 self._modem.clear()
                 if value != 0:  # of the device itself there is no answer, as Rock's driver knows
                     self._answer(client, name, OK)
@@ -242,10 +246,33 @@ class EvoLogics:
         def dropped(_: str) -> None:
             self._tell(b"CANCELED%b,%d" % (word, to))
 
-        job = Job(data, address, INSTANT if instant else BURST, self._told(to, b"im" if instant else b"burst"), dropped)
-        job.head = bytes((pid,))
         answered &= address != EVERYBODY
-        if why := self._modem.deliver(job, 1, ends) if answered else self._modem.submit(job):
+        told, what = self._told(to, b"im" if instant else b"burst"), INSTANT if instant else BURST
+        if not instant and len(data) > MOST_PIECES * self._modem.sea.mtu:
+            return RANGE
+        # Burst data may be longer than a frame; they are sent piece by piece.
+        pieces = [(b"", data)] if instant else self._fragments.split(data, max(1, self._modem.sea.mtu))
+        turn = self._clears
+
+        def send(number: int) -> str:
+            head, piece = pieces[number]
+            job = Job(piece, address, what, partial(sent, number), dropped, bytes((pid,)) + head)
+            if answered:
+                return self._modem.deliver(job, 1, partial(ended, number), goes_on=number > 0)
+            return self._modem.go_on(job) if number else self._modem.submit(job)
+
+        def sent(number: int, frame: SentFrame) -> None:
+            told(frame)
+            if not answered and number + 1 < len(pieces) and self._clears == turn:
+                send(number + 1)
+
+        def ended(number: int, answer: HeardFrame | None) -> None:
+            if answer is None or number + 1 == len(pieces):
+                ends(answer)
+            elif send(number + 1):
+                ends(None)
+
+        if why := send(0):
             return BUSY if why in _PASSES else RANGE
         self._waiting += answered
         return OK
@@ -286,7 +313,10 @@ class EvoLogics:
 
     def heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """See `ModemLanguage`."""
-        modem, data, to = self._modem, frame.payload, frame.to or BROADCAST
+        modem, to = self._modem, frame.to or BROADCAST
+        if (data := self._fragments.join(frame._replace(head=frame.head[1:]))) is None:
+            return  # pieces are missing
+        frame = frame._replace(payload=data)
         duration_us = modem.sea.modem.airtime_ns(len(data)) // 1000
         level = b"%d,%d" % self._strength(frame.level)
         self._tell(b"RECVEND,%d,%d,%b" % (modem.us(frame.end_ns), duration_us, level), b"ZX")

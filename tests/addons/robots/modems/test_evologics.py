@@ -140,6 +140,31 @@ def test_data_that_found_no_room_leave_when_there_is_some(program: Program, wate
     assert [water.sends().payload for _ in range(4)] == [b"x", b"x", b"x", b"data\n"]
 
 
+@pytest.mark.parametrize("to", [2, 255])
+def test_burst_data_longer_than_a_frame_arrive_at_once(program: Program, water: Water, to: int) -> None:
+    """In pieces, each of which is acknowledged if they are for one modem; the other side is told once."""
+    data = bytes(range(65, 91)) * 6
+    assert program.asks(b"+++AT*SEND,156,%d," % to + data + b"\n") == b"+++AT*SEND:2:OK\r\n"
+    pieces = []
+    for _ in range(3):
+        pieces.append(water.sends())
+        if to != 255:
+            head = acknowledges(pieces[-1])
+            water.brings(2, b"", head=head, what=EvoLogics.link, left=2.0, came=2.5)
+    if to != 255:
+        assert program.hears() == b"+++AT:13:DELIVERED,1,2\r\n"
+    assert program.asks(b"+++ATC\n") == b"+++ATC:2:OK\r\n"
+    for piece in pieces:
+        water.brings(3, piece.payload, head=piece.head, what=piece.what, left=3.0, came=3.25)
+    assert program.hears().startswith(b"RECV,156,3,") and not water.core.remark
+
+
+def test_burst_data_end_with_the_piece_that_fails(program: Program, water: Water) -> None:
+    assert program.asks(b"+++AT*SEND,100,2," + b"x" * 100 + b"\n") == b"+++AT*SEND:2:OK\r\n"
+    water.core.dropped(water.next().tag, Cause.MUTE)
+    assert program.hears() == b"+++AT:10:FAILED,0,2\r\n" and not water.given
+
+
 def test_the_escape_needs_no_line_feed(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
     """As Rock's driver writes it, with a second before and behind it."""
     monkeypatch.setattr("fleet.addons.robots.modems.evologics.ESCAPE_S", 0.0)
@@ -307,7 +332,7 @@ def test_a_message_of_a_wrong_form_is_refused(program: Program, wrong: bytes) ->
     assert b":ERROR WRONG FORMAT\r\n" in program.asks(wrong)
 
 
-@pytest.mark.parametrize("command", [b"*SEND,65,2," + b"x" * 65, b"*SENDIM,1,300,noack,x", b"*SENDIMS,1,2,1,x"])
+@pytest.mark.parametrize("command", [b"*SEND,4097,2," + b"x" * 4097, b"*SENDIM,1,300,noack,x", b"*SENDIMS,1,2,1,x"])
 def test_what_never_can_be_sent_is_not_busy(program: Program, command: bytes) -> None:
     """Else a driver would try for ever, also while something else waits."""
     assert program.asks(b"+++AT*SENDIM,1,2,noack,x\n") == b"+++AT*SENDIM:2:OK\r\n"

@@ -91,6 +91,13 @@ class Gateway:
         self._sockets: dict[int, socket.socket] = {}
         self._endpoint: ZenohEndpoint | None = None
         self._told_ns = 0
+        self._begun: tuple[int, int] | None = None  # the first tick, and when it came
+        self._passed = (0, 1)  # since then, in the run and on the wall clock [ns]
+
+    @property
+    def pace(self) -> float:
+        """How much faster than the wall clock the run went."""
+        return self._passed[0] / max(1, self._passed[1])
 
     @property
     def counts(self) -> Counts:
@@ -99,6 +106,7 @@ class Gateway:
 
     def begin(self, config: AgentConfig, clock: Clock) -> Gateway:
         """Open sockets and router. Raises FleetError: a port is in use, or there is no such host."""
+        self._tick_ns = config.tick_ns
         self._ports: Mapping[int, UdpPort] = {
             port: UdpPort(config, port) for port in (*(rule.port for rule in self._rules), WATER_PORT)
         }
@@ -174,6 +182,9 @@ class Gateway:
                     with suppress(OSError):  # the program is not there yet, or its host is gone: UDP tells nobody
                         self._sockets[port].sendto(datagram.data, self._targets[port])
         now_ns = monotonic_ns()
+        if self._begun is None:
+            self._begun = nav.tick, now_ns
+        self._passed = (nav.tick - self._begun[0]) * self._tick_ns, now_ns - self._begun[1]
         if self._endpoint is not None and now_ns - self._told_ns >= _TOKENS_NS:
             self._told_ns = now_ns
             self._endpoint.tick(now_ns)

@@ -23,7 +23,7 @@ from netem.clock import Clock
 from netem.wire.messages import Delivery
 
 LIMIT_S = 60.0
-CONFIG: Any = SimpleNamespace(id=2, neighbours=())
+CONFIG: Any = SimpleNamespace(id=2, neighbours=(), tick_ns=20_000_000)
 OTHER: Any = SimpleNamespace(id=1)
 NAV: Any = SimpleNamespace(tick=0)
 SIMULATED = """
@@ -60,6 +60,8 @@ def test_datagrams_go_both_ways_and_what_has_no_room_waits_or_is_lost() -> None:
         payloads = UdpPort(OTHER, ours).send(b"hello" * 1000, to=2)
         came = [Delivery(due_tick=0, sent_tick=0, src=1, seq=n, copy=0, payload=p) for n, p in enumerate(payloads)]
         assert gateway.decide(NAV, came).tau == (0.0, 0.0, 0.0)
+        gateway.decide(SimpleNamespace(tick=10_000), [])  # type: ignore[arg-type]
+        assert gateway.pace > 2.0  # 200 s in a moment: no real program follows
         assert real.recv(1 << 16) == b"hello" * 1000
         for number in range(60):  # one by one, or the system drops some
             real.sendto(bytes((number,)) * 30_000, ("127.0.0.1", ours))

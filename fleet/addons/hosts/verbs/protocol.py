@@ -100,6 +100,7 @@ def check(
 
 T = TypeVar("T")
 _POLL_S = 0.5
+_TOO_FAST = 1.2  # times faster than the wall clock: real programs cannot follow
 
 _AGENT = (
     "Exit status: 0 the run is over; 2 it cannot join; 3 it had joined and its life ended before the run: a fault "
@@ -189,6 +190,8 @@ def agent(
         out, into, lost = gateway.counts
         without = f"; {lost} found no room" if lost else ""
         tell(f"of the real programs {out} datagrams went into the network, {into} came{without}")
+        if gateway.pace > _TOO_FAST:
+            tell(f"the run was {gateway.pace:.2g} times faster than the wall clock of the real programs: --speed 1")
     tell(f"agent {vehicle}: {end.reason}")
     _leave(0 if end.reason == RUN_OVER else 3)
 

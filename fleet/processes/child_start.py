@@ -12,7 +12,7 @@ import ctypes
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import ModuleType
 
@@ -22,6 +22,7 @@ PRELOAD_VARIABLE = "UUV_FLEET_PRELOAD"  # tells the fork server what its childre
 PARENT_PID_VARIABLE = "UUV_FLEET_PARENT_PID"  # tells a command that a study starts whom it must not outlive
 
 _PR_SET_PDEATHSIG = 1
+_SAFE_PATH, _OURS = "PYTHONSAFEPATH", "uuv-fleet"  # any value is a yes: by this one we know that the user set none
 
 
 def die_with_parent(parent_pid: int) -> None:
@@ -57,4 +58,9 @@ def children_ignore_the_folder() -> None:
     """Python processes that start from now on do not import a `socket.py` in the current directory for Python's."""
     # multiprocessing starts its fork server with `python -c`, which looks for every module in the current directory
     # first.
-    os.environ["PYTHONSAFEPATH"] = "1"
+    os.environ[_SAFE_PATH] = os.environ.get(_SAFE_PATH) or _OURS
+
+
+def for_programs(environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment as programs of the user get it: theirs import modules that lie beside them."""
+    return {name: value for name, value in environment.items() if (name, value) != (_SAFE_PATH, _OURS)}

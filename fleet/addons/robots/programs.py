@@ -21,6 +21,7 @@ from fleet.addons.robots import keeper
 from fleet.addons.robots.message_values import NoNumber, reader
 from fleet.analysis.command_lines import search_path
 from fleet.errors import RunBroken
+from fleet.processes.child_start import for_programs
 from fleet.processes.children import describe_exit
 from fleet.result.verdict import Verdict
 from fleet.scenario.faults.kind import Kill, Part
@@ -197,7 +198,7 @@ class Programs:
             "begin_s": f"{begin_ns / 1e9:.3f}", "duration_s": f"{self._scenario.duration_ns / 1e9:g}",
             "dir": self._directory, "domain": os.environ.get("ROS_DOMAIN_ID", "0"),
         }  # fmt: skip
-        env = dict(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
+        env = for_programs(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
         env["PATH"] = search_path()
         env |= {"PYTHONUNBUFFERED": "1", "ROS_DOMAIN_ID": str(known["domain"])}
         if listen:

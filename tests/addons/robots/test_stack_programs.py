@@ -157,6 +157,21 @@ def test_a_run_starts_watches_kills_and_judges_its_programs(lively: LiveRun) -> 
     assert faults == ["kill m2", "kill m4", "pause m1"]
 
 
+@pytest.mark.parametrize("users", [{}, {"PYTHONSAFEPATH": "1"}])
+def test_a_program_imports_what_lies_beside_it_unless_its_user_forbids_it(
+    users: dict[str, str], tmp_path: Path
+) -> None:
+    """Our own processes look into no folder of the user. Programs inherited that, and found no module of theirs."""
+    (tmp_path / "ours.py").write_text("print('imported', flush=True)")
+    (tmp_path / "imports.py").write_text("import ours")
+    programs = {"m*": {"run": "python ends.py 9 0"}, "m1": {"run": "python imports.py"}}
+    with stack(
+        tmp_path, nodes=NO_ROUTER, programs=programs, duration="1 s", environment=users,
+        checks={"programs": {"*": "running", "m1": "done"}},
+    ) as run:  # fmt: skip
+        run.ends(1 if users else 0)
+
+
 def test_who_does_not_want_to_wait_for_the_end_of_programs_kills_them(tmp_path: Path) -> None:
     """By another Ctrl-C, of which the user is told. The run is judged all the same, and nobody is left."""
     deaf = {"run": "sh -c 'trap : TERM; echo up; while :; do sleep 1; done'", "ready": {"line": "up"}}

@@ -66,16 +66,17 @@ class Fragments:
     """Fragments that have come, until their datagrams are whole."""
 
     def __init__(self) -> None:
-        self._parts: dict[tuple[int, int], dict[int, Datagram]] = {}
+        self._parts: dict[tuple[int, Datagram], dict[int, Datagram]] = {}
 
     def whole(self, src: int, packet: Datagram) -> Datagram | None:
         """The datagram that a packet completes; None: others are missing. `src`: the agent that has sent it."""
         if packet.places == 1:
             return packet
-        parts = self._parts.setdefault((src, packet.number), {})
+        key = src, packet._replace(place=0, data=b"")  # ports, too: each port of a law counts by itself
+        parts = self._parts.setdefault(key, {})
         parts[packet.place] = packet
         if len(parts) == packet.places:
-            del self._parts[src, packet.number]
+            del self._parts[key]
             data = b"".join(parts[k].data for k in sorted(parts))
             return packet._replace(data=data, place=0, places=1)
         if len(self._parts) > MOST_PARTIAL:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
+from zlib import crc32
 
 from agents.config import AgentConfig
 from agents.packets import EVERYBODY, V4, Datagram, Fragments, node_address, read
@@ -45,7 +46,7 @@ class UdpPort:
         """
         if not 0 < port < 65_536:
             raise ValueError(f"expected a port of 1 to 65535, got {port}")
-        self._own, self._port, self._number = config.id, port, 0
+        self._own, self._port, self._sent = config.id, port, 0
         self._fragments = Fragments()
 
     def send(self, data: bytes, to: int = EVERYBODY, port: int | None = None) -> list[bytes]:
@@ -67,9 +68,11 @@ class UdpPort:
             raise ValueError(
                 f"expected at most {MOST_DATA} bytes and a port of 1 to 65535, got {len(data)} and {target}"
             )
-        self._number = (self._number + 1) & 0xFFFF
+        self._sent += 1
+        # A law that is killed counts from 1 again, and fragments of its former life may still wait for the rest.
+        number = crc32(data, self._sent) & 0xFFFF
         ip = _BROADCAST if to == EVERYBODY else node_address(to, False)
-        return [each.packed() for each in Datagram(to, self._port, target, ip, data).fragments(self._number)]
+        return [each.packed() for each in Datagram(to, self._port, target, ip, data).fragments(number)]
 
     def receive(self, deliveries: Iterable[Delivery]) -> Iterator[Received]:
         """Read what has come for this port. Other payloads, and damaged ones, are left out.

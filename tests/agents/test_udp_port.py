@@ -44,6 +44,17 @@ def test_a_payload_that_the_network_has_changed_is_none(data: bytes, at: int, fl
     assert list(port(2).receive(delivered([bytes(broken), b"", payload]))) == [Received(1, 9000, data)]
 
 
+def test_fragments_of_several_ports_and_of_a_former_life_are_not_mixed() -> None:
+    """Each port counted from 1, so the beginning of one datagram and the end of another were a third one."""
+    ports = [port(1), port(1, 9001), port(1)]  # the last one: the law was killed, and began again
+    parts = [one.send(letter * 2000, port=9000) for one, letter in zip(ports, (b"a", b"b", b"c"), strict=True)]
+    hears = port(2)
+    assert list(hears.receive(delivered([begin for begin, _ in parts]))) == []
+    assert [one.data for one in hears.receive(delivered([end for _, end in parts]))] == [
+        letter * 2000 for letter in (b"a", b"b", b"c")
+    ]
+
+
 def test_what_udp_cannot_carry_is_refused() -> None:
     with pytest.raises(ValueError, match="at most 65507 bytes"):
         port(1).send(bytes(65_508))

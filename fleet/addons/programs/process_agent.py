@@ -225,7 +225,8 @@ class _Life:
         self._beside, self._environment = beside, environment
         self._node: int | None = None  # the family of the program beside it
         self._out: deque[bytes] = deque()
-        self._queued, self._number = 0, 0
+        # Fragments of a former life may still wait for the rest at others: a life that begins later has other numbers.
+        self._queued, self._number = 0, Random(f"{config.seed}/{now_ns}").getrandbits(16) if now_ns else 0
         self._fragments = Fragments()
         self.over = self._begun = False
         self._last_ns = 0

@@ -104,6 +104,38 @@ duration: 1 s
     assert "line 1 of 10.0.0.1" in (result.directory / "log" / "agent-1.log").read_text()
 
 
+BLOCKS = """
+import socket, sys, time
+sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+sock.bind(("", 9000))
+while sys.argv[1] == "b":
+    print("mixed" if len(set(sock.recv(9999))) > 1 else "whole", flush=True)
+while True:
+    sock.sendto(bytes([int(time.monotonic() - 1000)]) * 4000, ("10.0.0.2", 9000))
+    time.sleep(0.05)
+"""
+
+
+@needs_cc
+def test_a_program_that_begins_again_does_not_complete_datagrams_of_its_former_life(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It numbered them from 1 again, and the parts that had arrived of the old ones were taken for its own."""
+    monkeypatch.chdir(tmp_path)
+    Path("blocks.py").write_text(BLOCKS)
+    Path("stack.yaml").write_text("""
+title: Blocks of three fragments
+nodes: {a: {}, b: {}}
+programs: {"*": {run: [python, blocks.py, "{node}"]}}
+signals: {whole: {of: b, line: whole, count: yes}, mixed: {of: b, line: mixed, count: yes}}
+network: {links: {"*": loss 40%}}
+faults: [{at: 2 s, for: 500 ms, kill: a}, {at: 4 s, for: 500 ms, kill: a}]
+duration: 6 s
+""")
+    signals = made().vehicles["2"].signals
+    assert signals["whole"].value and not signals["mixed"].value
+
+
 @needs_cc
 def test_a_fault_names_nodes_and_zenoh_needs_no_word_of_ours(stack: Any) -> None:
     """The election, unedited: a router of zenoh for each member, and a member that is killed."""

@@ -317,24 +317,30 @@ def _programs(scenario: Scenario, journal: Journal) -> Verdict:
 def _programs_of_nodes(scenario: Scenario, journal: Journal) -> Verdict:
     """Whether the programs of what were nodes ran, or did their work, as on the wall clock."""
     asked: dict[str, str] = {**(scenario.spec.checks.programs or {"*": RUNNING})}
-    failures, bad = journal.failures, []
-    failed = {one.vehicle: one for one in failures.first}
+    failures = journal.failures
+    bad: list[tuple[int, int, str]] = []  # when [ns], whose, and in words
+    failed = {one.vehicle: one for one in reversed(failures.first)}
     for i, name in enumerate(scenario.spec.names or (), start=1):
         want, ended = wanted(asked, name, name), failures.ended.get(i)
         if (one := failed.get(i)) is not None:
-            bad.append(f"{name} at {one.at_ns / 1e9:.2f} s: {one.text}{f': {one.last:.120}' if one.last else ''}")
+            text = f"{name} at {one.at_ns / 1e9:.2f} s: {one.text}{f': {one.last:.120}' if one.last else ''}"
+            bad.append((one.at_ns, i, text))
         elif want == DONE and ended is None:
-            bad.append(f"{name} did not end")
+            bad.append((scenario.duration_ns, i, f"{name} did not end"))
         elif want == RUNNING and ended is not None:
-            bad.append(f"{name} ended at {ended / 1e9:.2f} s")
+            bad.append((ended, i, f"{name} ended at {ended / 1e9:.2f} s"))
     words = (
         ", ".join(dict.fromkeys(asked.values()))
         if list(asked) == ["*"]
         else ", ".join(f"{name} {what}" for name, what in asked.items())
     )
-    count = len(scenario.spec.names or ())
-    found = printable("; ".join(bad[:4])) if bad else f"all {count}"
-    return Verdict(PROGRAMS, not bad, words, found, len(bad), 0, "programs")
+    if not bad:
+        return Verdict(PROGRAMS, True, words, f"all {len(scenario.spec.names or ())}", 0, 0, "programs")
+    found = "; ".join(text for _, _, text in bad[:4]) + (f" and {len(bad) - 4} more" if len(bad) > 4 else "")
+    at_ns, vehicle, _ = min(bad)
+    moment = _moment(journal, scenario, at_ns / 1e9, vehicle)
+    verdict = Verdict(PROGRAMS, False, words, printable(found), len(bad), 0, "programs", moment)
+    return verdict.with_margin(-len(bad), "programs", at_ns / 1e9)
 
 
 OF_THE_TOOL = frozenset({"deaths", "ledger", "middleware_loss"})  # `expect: fail` judges the protocol, not this program

@@ -74,6 +74,16 @@ def test_programs_are_judged_by_the_names_of_nodes(checks: dict[str, Any], words
     assert not passed and words in found
 
 
+@needs_cc
+def test_the_moment_at_which_a_program_failed_is_that_of_the_check(stack: Any) -> None:
+    """Without one, `fleet why` explained a failure at 4.2 s by what there was at 0 s."""
+    stack("socket_stack")
+    result = made(checks=json.dumps({"programs": {"*": "running"}}))
+    check = next(one for one in result.checks if one.check == "programs")
+    assert check.moment is not None and 4 < check.moment.at_s < 5 and check.moment.vehicles == [1]
+    assert check.margin is not None and check.margin.value == -1
+
+
 COUNTS = """
 import os, sys, time
 for n in range(3):

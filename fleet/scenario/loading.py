@@ -16,7 +16,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text import scenario_yaml
 from fleet.scenario.text.nodes import expanded, still
 from fleet.scenario.text.overrides import Override, apply
-from fleet.scenario.text.simulated_nodes import SIMULATED, simulated
+from fleet.scenario.text.simulated_nodes import SIMULATED, command_folders, simulated
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
 from fleet.scenario.text.yaml_writer import yaml_text
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
@@ -94,6 +94,8 @@ def _simulated(spec: ScenarioSpec, source_name: str, folder: Path | None, policy
     made = yaml_text(simulated(spec, folder or Path()))
     root, problems = read(Source(f"{source_name} in simulated time", made))
     assert isinstance(root, Mapping)
+    if not policy.stranger:
+        policy = replace(policy, own=(*policy.own, *command_folders(spec)))
     parts, mistakes = validate(root, folder, policy)
     if parts is None or problems or mistakes:
         raise ScenarioError([*problems, *mistakes])

@@ -46,7 +46,7 @@ class Policy:
         Raises UntrustedError: it may not; PluginError: the name is none of a plug-in.
         """
         beside = () if folder is None else (folder,)
-        own = self.own if self.stranger else (*beside, Path())
+        own = self.own if self.stranger else (*beside, Path(), *self.own)
         if typed and self.typed:
             own = (Path(), *own)
         admit(kind, name, Permission(own, (*beside, Path()), self.stranger or "the scenario is not beside it"))

@@ -111,6 +111,15 @@ def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     }
 
 
+def command_folders(spec: ScenarioSpec) -> list[Path]:
+    """Where the commands lie that a file of nodes names without a path, such as `bash`: on the wall clock it may
+    start any.
+    """
+    first = {section.run[0] for section in (spec.programs or {}).values()}
+    found = (shutil.which(word) for word in sorted(first) if "/" not in word)
+    return [Path(file).resolve().parent for file in found if file is not None]
+
+
 def places(spec: ScenarioSpec) -> list[tuple[float, float, float]]:
     """Where the nodes are [m, NED]."""
     return [tuple(offset) for offset in spec.formation.offsets or ()]  # type: ignore[misc]

@@ -84,6 +84,22 @@ def test_the_moment_at_which_a_program_failed_is_that_of_the_check(stack: Any) -
     assert check.margin is not None and check.margin.value == -1
 
 
+@needs_cc
+def test_commands_without_a_path_need_no_more_trust_than_on_the_wall_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = Path("stack.yaml")
+    file.write_text(STACK.format(a="{}", programs='{"*": {run: [sh, -c, "echo hello"]}}', more=DONE))
+    result = fleet.run("stack.yaml", out="runs")
+    assert verdict(result, "programs") == (True, "all 2")
+    assert invoke("verify", result.directory).exit_code == 0
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    with pytest.raises(ScenarioError, match="lies outside of the current directory"):
+        fleet.run("../stack.yaml", out="runs")
+
+
 COUNTS = """
 import os, sys, time
 for n in range(3):
@@ -157,6 +173,7 @@ def test_a_fault_names_nodes_and_zenoh_needs_no_word_of_ours(stack: Any) -> None
 
 
 STACK = "title: T\nduration: 1 s\nclock: simulated\nnodes: {{a: {a}, b: {{}}}}\nprograms: {programs}\n{more}\n"
+DONE = "checks: {programs: done}"
 MESSAGES = "signals: {s: {message: k, count: yes}}\nchecks: {signal: {topic: s, above: 0}}"
 TRUE = '{"*": {run: "true"}}'
 

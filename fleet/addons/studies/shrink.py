@@ -26,12 +26,14 @@ from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import run_key
 from fleet.addons.studies.row import FAILED, Row, voted
 from fleet.addons.studies.targets import Targets, narrower, targets
+from fleet.analysis.verdicts import PROGRAMS
 from fleet.errors import ScenarioError
 from fleet.execution.external_agents import refuse
 from fleet.quantities import show_time, time_ns
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.programs import DONE
 from fleet.scenario.sections.node_names import numbered_values
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from netem.parsing import NUMBER
@@ -140,7 +142,9 @@ class Shrinker:
 
     def _shorter(self) -> Iterator[str]:
         """A run that ends earlier, but not before its check begins: it would fail for that reason alone."""
-        if self._check == "recovery_time":  # which an earlier end always fails
+        checks = self._tree.get("checks") or {}
+        waits = self._check == PROGRAMS and DONE in str(checks.get(PROGRAMS))
+        if self._check == "recovery_time" or waits:  # which an earlier end always fails
             return
         self._doing = "a shorter run"
         before = self._tree["duration"]

@@ -9,13 +9,19 @@ from typing import Any
 
 import pytest
 from repository import ROOT
+from study_engine import Here, Rows
 from tool import invoke
 
 import fleet
 from fleet.addons.programs.udp_ways import UdpWays
+from fleet.addons.studies.one_run import Task
+from fleet.addons.studies.row import CheckRow, Row
+from fleet.addons.studies.shrink import Shrinker
 from fleet.errors import ScenarioError
+from fleet.quantities import show_time
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario
+from fleet.scenario.trust import Policy
 
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="the library for programs is compiled by cc")
 EXAMPLES = ROOT / "docs" / "examples"
@@ -82,6 +88,32 @@ def test_the_moment_at_which_a_program_failed_is_that_of_the_check(stack: Any) -
     check = next(one for one in result.checks if one.check == "programs")
     assert check.moment is not None and 4 < check.moment.at_s < 5 and check.moment.vehicles == [1]
     assert check.margin is not None and check.margin.value == -1
+
+
+class AlwaysFails(Here):
+    """Says of every valid run that its programs failed."""
+
+    def rows(self, task: Task) -> Rows:
+        try:
+            parse_scenario(task.text, task.name, policy=Policy(""))
+        except ScenarioError:
+            return [Row(key=task.key, seed=task.seed, status="failed")]
+        checks = {"programs": CheckRow(passed=False, value=1.0)}
+        return [Row(key=task.key, seed=task.seed, status="check_failed", passed=False, checks=checks)]
+
+
+@needs_cc
+@pytest.mark.parametrize(("wanted", "duration"), [("done", "1 s"), ("running", "10 ms")])
+def test_a_run_in_which_a_program_must_end_is_not_shortened(
+    wanted: str, duration: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`fleet shrink` kept 10 ms of a transfer that takes seconds, and said that no fault is needed."""
+    monkeypatch.chdir(tmp_path)
+    Path("p.py").write_text("")
+    programs, more = '{"*": {run: [python, p.py]}}', f"checks: {{programs: {wanted}}}"
+    scenario = parse_scenario(STACK.format(a="{}", programs=programs, more=more), "stack.yaml", policy=Policy(""))
+    found = Shrinker(scenario, AlwaysFails(), lambda doing, runs: None).shrink("programs")
+    assert show_time(found.scenario.duration_ns) == duration
 
 
 @needs_cc

@@ -61,13 +61,15 @@ class UdpPort:
             The payloads.
 
         Raises:
-            ValueError: the data are too long, or there is no such port.
+            ValueError: the data are too long, or there is no such agent or port.
         """
         target = self._port if port is None else port
         if len(data) > MOST_DATA or not 0 < target < 65_536:
             raise ValueError(
                 f"expected at most {MOST_DATA} bytes and a port of 1 to 65535, got {len(data)} and {target}"
             )
+        if not EVERYBODY <= to < 65_536:
+            raise ValueError(f"expected the number of an agent, or 0 for all, got {to}")
         self._sent += 1
         # A law that is killed counts from 1 again, and fragments of its former life may still wait for the rest.
         number = crc32(data, self._sent) & 0xFFFF

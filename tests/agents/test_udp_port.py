@@ -60,4 +60,7 @@ def test_what_udp_cannot_carry_is_refused() -> None:
         port(1).send(bytes(65_508))
     with pytest.raises(ValueError, match="a port of 1 to 65535, got 0"):
         port(1, 0)
+    for nobody in (-1, 65_536):  # they were an OverflowError, which names no agent
+        with pytest.raises(ValueError, match=f"the number of an agent, or 0 for all, got {nobody}"):
+            port(1).send(b"x", nobody)
     assert len(port(1).send(bytes(65_507))) == 45

@@ -15,13 +15,7 @@ _BROADCAST = V4 + b"\x0a\0\xff\xff"  # 10.0.255.255
 
 
 class Received(NamedTuple):
-    """A datagram that has come.
-
-    Attributes:
-        src: the number of the agent that has sent it.
-        port: of the sender, for an answer.
-        data: its bytes.
-    """
+    """A datagram that has come: `src` is the number of the agent that has sent it, `port` its port, `data` the bytes."""
 
     src: int
     port: int
@@ -82,7 +76,7 @@ class UdpPort:
         Args:
             deliveries: those of `decide`, each of them once.
 
-        Yields:
+        Returns:
             The datagrams that are whole now, in their order.
         """
         for delivery in deliveries:

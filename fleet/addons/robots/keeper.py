@@ -42,12 +42,9 @@ _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
-class TooSlow(Exception):
-    """A pattern takes too long. Python looks for signals while it matches, so this can end it."""
-
-
 def _give_up(*_: object) -> None:
-    raise TooSlow
+    """End a search that takes too long: Python looks for signals while it matches."""
+    raise TimeoutError
 
 
 def _sent(pid: int, number: int) -> bool:
@@ -390,7 +387,7 @@ class Program:
                 return pattern.search(text)
             finally:
                 signal.setitimer(signal.ITIMER_REAL, 0)
-        except TooSlow:
+        except TimeoutError:
             self._slow.add(what)
             self._keeper.say(slow=self.name, what=what)
             return None

@@ -128,7 +128,6 @@ def test_pytest_makes_runs_of_a_stack(loss: str, pytester: pytest.Pytester) -> N
         ["rare", "stack.yaml", "--check", "hears"],
         ["verify", "stack.yaml"],
         ["whatif", "stack.yaml"],
-        ["run", "stack.yaml"],
     ],
 )
 def test_what_cannot_run_a_stack_says_so_in_one_line(words: list[str], here: Path) -> None:

@@ -15,7 +15,7 @@ _BROADCAST = V4 + b"\x0a\0\xff\xff"  # 10.0.255.255
 
 
 class Received(NamedTuple):
-    """A datagram that has come: `src` is the number of the agent that has sent it, `port` its port, `data` the bytes."""
+    """A datagram that has come: `src` is the number of the agent that has sent it, and `port` the port of it."""
 
     src: int
     port: int

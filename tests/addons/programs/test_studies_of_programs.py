@@ -8,6 +8,7 @@ from math import inf
 from pathlib import Path
 from textwrap import dedent
 
+import loaded_once  # noqa: F401
 import pytest
 from own_program import scenario
 from repository import ROOT

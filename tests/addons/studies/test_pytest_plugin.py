@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import loaded_once  # noqa: F401
 import pytest
 import yaml
 from repository import ROOT

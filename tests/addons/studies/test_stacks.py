@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import loaded_once  # noqa: F401
 import pytest
 from live import Command, gone
 from psutil import Process

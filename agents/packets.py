@@ -26,7 +26,7 @@ from typing import NamedTuple
 from zlib import crc32
 
 EVERYBODY = 0
-_BEGIN = b"\x81\x01p"
+BEGIN = b"\x81\x01p"  # of every packet: a message of the kind `p`
 _FIELDS = struct.Struct("<HHH")
 MTU = 1500
 MOST_PARTIAL = 64  # datagrams of which fragments are missing; the oldest is given up, as after 30 s in Linux
@@ -117,12 +117,12 @@ def node_address(agent: int, v6: bool) -> bytes:
 
 def _whole(kind: int, fields: bytes, data: bytes) -> bytes:
     rest = fields.ljust(_HEADER[kind] - 8, b"\0") + data
-    return _BEGIN + bytes((kind,)) + crc32(rest).to_bytes(4, "little") + rest
+    return BEGIN + bytes((kind,)) + crc32(rest).to_bytes(4, "little") + rest
 
 
 def read(payload: bytes) -> Datagram | Segment | None:
     """The packet of a payload; None: it is none, or damaged."""
-    if payload[:3] != _BEGIN or len(payload) < 4 or payload[3] not in _HEADER or len(payload) < _HEADER[payload[3]]:
+    if payload[:3] != BEGIN or len(payload) < 4 or payload[3] not in _HEADER or len(payload) < _HEADER[payload[3]]:
         return None
     kind, rest = payload[3], payload[8:]
     if crc32(rest) != int.from_bytes(payload[4:8], "little"):

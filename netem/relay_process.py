@@ -356,14 +356,12 @@ class RelayProcess:
 
     def _hand_over_of(self, relay: Relay) -> None:
         for due in relay.handed(monotonic_ns()):
-            if due.message.kind == DATAGRAM:
+            if due.message.kind in (DATAGRAM, PACKET):
                 at_ns = monotonic_ns()
                 relay.late.add(at_ns - due.due_ns)
-                self._has_ended(due, at_ns, delivered=self._sent(due))
-            elif due.message.kind == PACKET:
-                at_ns = monotonic_ns()
-                relay.late.add(at_ns - due.due_ns)
-                self._has_ended(due, at_ns, delivered=self._isolated.hand(due.dst, due.payload))
+                is_packet = due.message.kind == PACKET
+                given = self._isolated.hand(due.dst, due.payload) if is_packet else self._sent(due)
+                self._has_ended(due, at_ns, delivered=given)
             elif due.message.kind == MODEM and (modem := self._modems.get(due.dst)) is not None:
                 self._heard(due, modem, relay)
             elif not self._offered(due):

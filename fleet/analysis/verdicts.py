@@ -303,10 +303,7 @@ def _deaths(check: Standing, scenario: Scenario, journal: Journal) -> Verdict:
 def _programs(scenario: Scenario, journal: Journal) -> Verdict:
     """Agents that are programs of others, of which some have failed; as long as none has, the check is not shown."""
     failures = journal.failures
-    each = [
-        f"vehicle {i}: at {at_ns / 1e9:.2f} s: {text}{f': {last:.120}' if last else ''}"
-        for i, at_ns, text, last in failures.first[:4]
-    ]
+    each = [f"vehicle {one.vehicle}: {one.words}" for one in failures.first[:4]]
     found = printable("; ".join(each)) + (f" and {failures.count - 4} more" if failures.count > 4 else "")
     first = failures.first[0]
     moment = _moment(journal, scenario, first.at_ns / 1e9, first.vehicle)
@@ -323,8 +320,7 @@ def _programs_of_nodes(scenario: Scenario, journal: Journal) -> Verdict:
     for i, name in enumerate(scenario.spec.names or (), start=1):
         want, ended = wanted(asked, name, name), failures.ended.get(i)
         if (one := failed.get(i)) is not None:
-            text = f"{name} at {one.at_ns / 1e9:.2f} s: {one.text}{f': {one.last:.120}' if one.last else ''}"
-            bad.append((one.at_ns, i, text))
+            bad.append((one.at_ns, i, f"{name} {one.words}"))
         elif want == DONE and ended is None:
             bad.append((scenario.duration_ns, i, f"{name} did not end"))
         elif want == RUNNING and ended is not None:

@@ -148,7 +148,7 @@ def columns_of(topic: str, encoding: str, schema: Schema, fields: frozenset[str]
             if (found := made.columns(topic, encoding, schema, fields)) is not None:
                 return found  # type: ignore[no-any-return]
         except Exception as error:
-            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"columns: {type(error).__name__}: {error}")
+            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"columns: {in_words(error)}")
     return None
 
 

@@ -15,6 +15,11 @@ class ProgramFailure(NamedTuple):
     text: str  # how it ended
     last: str  # what it had printed last on its standard error; empty: nothing
 
+    @property
+    def words(self) -> str:
+        """When and how it failed."""
+        return f"at {self.at_ns / 1e9:.2f} s: {self.text}{f': {self.last:.120}' if self.last else ''}"
+
 
 class ProgramFailures:
     """Collects them from frames."""

@@ -280,19 +280,25 @@ def _both(sink: MessageSink, tap: Tap) -> Callable[[int, int, int, int, bytes], 
     return message
 
 
-def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, str]:
-    """The metadata that determine a run's result, in addition to the scenario attachment."""
-    scenarios = [scenario, *(leg.scenario for leg in (start.legs if start is not None else ()))]
-    sources = {f"law {law.name}": law_class(kind, law) for each in scenarios for kind, law in each.other_laws}
-    plants = {name: plant for each in scenarios for name, plant in each.plants.items()}
-    sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in plants.items()}
-    found = {
+def stated(scenario: Scenario) -> dict[str, str]:
+    """What of the metadata a scenario says without its laws."""
+    return {
         "scenario": scenario.name,
         "seed": str(scenario.seed),
         "tick_ns": str(scenario.tick_ns),
         "ticks": str(scenario.ticks),
         "vehicles": str(scenario.vehicles),
         "graph": " ".join(f"{src}->{dst}" for src, dst in scenario.graph.links),
+    }
+
+
+def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, str]:
+    """The metadata that determine a run's result, in addition to the scenario attachment."""
+    scenarios = [scenario, *(leg.scenario for leg in (start.legs if start is not None else ()))]
+    sources = {f"law {law.name}": law_class(kind, law) for each in scenarios for kind, law in each.other_laws}
+    plants = {name: plant for each in scenarios for name, plant in each.plants.items()}
+    sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in plants.items()}
+    found = stated(scenario) | {
         "uuv-fleet": version("uuv-fleet"),
         "piqp": version("piqp"),
         "python": ".".join(platform.python_version_tuple()[:2]),

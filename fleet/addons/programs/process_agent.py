@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import fleet
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
-from agents.packets import EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
+from agents.packets import BEGIN, EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.attachment import attachment
 from fleet.addons.programs.home import copy_of_disk
 from fleet.addons.programs.known_ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
@@ -114,7 +114,7 @@ class ProcessAgent:
         now_ns, deliveries = nav.tick * self._tick_ns, list(deliveries)
         tau, _ = self._formation.decide(nav, deliveries)
         steers = None if self._config.moored else nav
-        packets = [each for each in deliveries if each.payload[:3] == b"\x81\x01p"]
+        packets = [each for each in deliveries if each.payload.startswith(BEGIN)]
         self._note_laws(now_ns, deliveries)
         if os.getpid() != self._owner:
             self._repeat()
@@ -125,7 +125,8 @@ class ProcessAgent:
     def _note_laws(self, now_ns: int, deliveries: Iterable[Delivery]) -> None:
         """Say once of each neighbour that a law of it sends what no program can hear."""
         for each in deliveries:
-            if each.payload[:1] == b"\x81" and each.payload[:3] != b"\x81\x01p" and each.src not in self._unheard:
+            is_message = each.payload[:1] == BEGIN[:1]
+            if is_message and not each.payload.startswith(BEGIN) and each.src not in self._unheard:
                 self._unheard.add(each.src)
                 text = f"no program hears what the law of vehicle {each.src} sends: UdpPort of agents.api makes packets"
                 self._said.append(Said(now_ns, "err", text))

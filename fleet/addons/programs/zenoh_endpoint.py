@@ -26,6 +26,7 @@ import zenoh
 
 from fleet.addons.programs.known_ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
 from netem.errors import BusError
+from netem.namespaces import address
 from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.queries import OpenQueries, Ticket
 from netem.wire.robot_queues import Inlet
@@ -308,7 +309,7 @@ def _sample(
     )  # fmt: skip
 
 
-class Program:
+class EndpointProgram:
     """An endpoint as a program of its agent: datagrams are those of its node."""
 
     def __init__(self, number: int, heard: Sequence[int]) -> None:
@@ -320,8 +321,7 @@ class Program:
         self._endpoint = ZenohEndpoint(number, heard, self._send, command=self._steer, wake=self._wake)
 
     def _send(self, data: bytes, to: int | None) -> None:
-        address = "255.255.255.255" if to is None else f"10.0.{to >> 8}.{to & 255}"
-        self._socket.sendto(data, (address, WATER_PORT))
+        self._socket.sendto(data, ("255.255.255.255" if to is None else address(to), WATER_PORT))
 
     def _steer(self, data: bytes) -> None:
         self._socket.sendto(data, ("127.0.0.1", COMMAND_PORT))
@@ -342,15 +342,15 @@ class Program:
                 endpoint.tick(now_ns)
             left_s = max(0.0, (due_ns - monotonic_ns()) / 1e9) if endpoint.busy else None
             for ready in select.select([self._socket, self._vehicle], [], [], left_s)[0]:
-                data, (address, _) = ready.recvfrom(1 << 16)
+                data, (sender, _) = ready.recvfrom(1 << 16)
                 if ready is self._vehicle:
                     endpoint.say(NAVIGATION, data)
                 else:
-                    endpoint.hear(int.from_bytes(socket.inet_aton(address)[2:], "big"), data)
+                    endpoint.hear(int.from_bytes(socket.inet_aton(sender)[2:], "big"), data)
 
 
 def main(number: str, *heard: str) -> None:
-    Program(int(number), [*map(int, heard)]).serve()
+    EndpointProgram(int(number), [*map(int, heard)]).serve()
 
 
 if __name__ == "__main__":

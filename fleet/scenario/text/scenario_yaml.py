@@ -19,10 +19,7 @@ from fleet.scenario.text.yaml_writer import entry, scalar
 def scenario_yaml(spec: ScenarioSpec) -> str:
     """The text of a scenario; values that its profile and its vehicle's model supply are comments."""
     values = spec.model_dump(exclude_none=True, by_alias=True)
-    values["per_vehicle"] = {
-        numbers: overrides.model_dump(exclude_none=True, exclude_unset=True, by_alias=True)
-        for numbers, overrides in spec.per_vehicle.items()
-    }
+    values["per_vehicle"] = _per_vehicle(spec)
     values["faults"] = [
         fault.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True) for fault in spec.faults
     ]
@@ -51,12 +48,17 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
 def short_yaml(spec: ScenarioSpec) -> str:
     """The text of a scenario with nothing that is so anyway, for people. Versions may differ in what that is."""
     values = spec.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
-    values["per_vehicle"] = {
+    values["per_vehicle"] = _per_vehicle(spec)
+    values = compact(values) if spec.nodes is not None else values
+    return "\n".join(line for key, value in values.items() if value != {} for line in entry(key, value, 0)) + "\n"
+
+
+def _per_vehicle(spec: ScenarioSpec) -> dict[str, Any]:
+    """What some vehicles have otherwise, as it was given."""
+    return {
         numbers: overrides.model_dump(exclude_none=True, exclude_unset=True, by_alias=True)
         for numbers, overrides in spec.per_vehicle.items()
     }
-    values = compact(values) if spec.nodes is not None else values
-    return "\n".join(line for key, value in values.items() if value != {} for line in entry(key, value, 0)) + "\n"
 
 
 def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:

@@ -7,7 +7,7 @@ nothing else has to know of it. (Rejected: a third kind of run, which would judg
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,11 @@ from fleet.scenario.schema.nodes import udp_target
 from fleet.scenario.schema.programs import ProgramSection, filled, nodes_of, programs_of
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
+from netem.namespaces import address
 
 SIMULATED = "simulated"
 ROUND = "10 ms"  # programs speak at any time: a message waits for the next round, half of this on average
-_ROUTER = "tcp/127.0.0.1:7447"  # where the router of each node is for its own programs
+_ROUTER = "{zenoh}"  # the agent fills in where the router of its node is
 _BEGIN_S = "1000"  # CLOCK_MONOTONIC at t = 0
 _PYTHONS = ("python", "python3")
 # Keys of a scenario that nodes and vehicles share.
@@ -93,7 +94,7 @@ def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
         network["period"] = dumped["network"]["period"]
     checks = {key: value for key, value in found.get("checks", {}).items() if key != "punctual"}
     checks["programs"] = checks.get("programs", "running")
-    offsets = [f"{x:g} {y:g} {z:g} m" for x, y, z in (places(spec))]
+    offsets = [f"{x:g} {y:g} {z:g} m" for x, y, z in spec.formation.offsets or ()]
     per_vehicle = {}
     for _, node, section in programs_of(spec.programs or {}, names):
         number = names.index(node) + 1
@@ -120,17 +121,12 @@ def command_folders(spec: ScenarioSpec) -> list[Path]:
     return [Path(file).resolve().parent for file in found if file is not None]
 
 
-def places(spec: ScenarioSpec) -> list[tuple[float, float, float]]:
-    """Where the nodes are [m, NED]."""
-    return [tuple(offset) for offset in spec.formation.offsets or ()]  # type: ignore[misc]
-
-
 def _agent(
     spec: ScenarioSpec, names: Sequence[str], number: int, section: ProgramSection, folder: Path
 ) -> dict[str, Any]:
     node = (spec.nodes or {})[names[number - 1]]
     known = {
-        "listen": _ROUTER, "address": f"10.0.{number >> 8}.{number & 255}", "node": names[number - 1], "number": number,
+        "listen": _ROUTER, "address": address(number), "node": names[number - 1], "number": number,
         "seed": spec.seed, "begin_s": _BEGIN_S, "duration_s": f"{spec.duration / 1e9:g}", "domain": "0",
     }  # fmt: skip
     here = folder / (section.folder or "")
@@ -164,8 +160,3 @@ def _program(words: Sequence[str], here: Path, below: str | None) -> dict[str, A
     if first in _PYTHONS and rest:
         return {"program": str(Path(below or "", rest[0])), "arguments": named[1:]}
     return {"program": shutil.which(first) or str(Path(below or "", first)), "arguments": named}
-
-
-def told_names(spec: ScenarioSpec) -> Mapping[int, str]:
-    """The names of vehicles that were nodes, by number; nothing for vehicles of numbers alone."""
-    return dict(enumerate(spec.names or (), start=1))

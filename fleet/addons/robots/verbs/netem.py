@@ -66,22 +66,21 @@ def netem(
     if not show_config and clock != SIMULATED:
         start_forkserver("netem.relay_process")  # no vehicles: neither numpy nor their laws
     scenario = load_scenario(stack, [*changes, *key_options(seed=seed, duration=duration, clock=clock)])
-    beside = [each for each in companions if each.asked]
-    if scenario.spec.names is not None and not show_config:
-        asked = Options(out, in_process=not beside, quiet=quiet)
-        for companion in beside:
-            asked = companion.prepare(scenario, asked, "")
-        execute_and_print(scenario, asked, beside, stderr(), junit)
-    if not scenario.nodes and scenario.spec.names is None:
+    is_simulated = scenario.spec.names is not None
+    if not scenario.nodes and not is_simulated:
         raise click.UsageError(f"{stack} has no nodes: fleet run {stack} runs it with agents of its own")
     if show_config:
         click.echo(scenario.to_yaml(), nl=False)
         return
-    admit_programs(scenario.spec, scenario.reading.policy)
-    if not quiet:
-        for text in (*command_lines.warnings(scenario), *robot_addresses.warnings(scenario)):
-            say(f"warning: {text}", err=True)
-    asked = Options(out, clock=Clock.REAL, quiet=quiet, relay=RelayRun)
+    beside = [each for each in companions if each.asked]
+    if is_simulated:
+        asked = Options(out, in_process=not beside, quiet=quiet)
+    else:
+        asked = Options(out, clock=Clock.REAL, quiet=quiet, relay=RelayRun)
+        admit_programs(scenario.spec, scenario.reading.policy)
+        if not quiet:
+            for text in (*command_lines.warnings(scenario), *robot_addresses.warnings(scenario)):
+                say(f"warning: {text}", err=True)
     for companion in beside:
         asked = companion.prepare(scenario, asked, "")
     execute_and_print(scenario, asked, beside, stderr(), junit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,6 +132,7 @@ class DrawnData(OtherData):
 
     refused: ClassVar[tuple[str, ...]] = OF_LOGS
 
+    @abstractmethod
     def plot(
         self,
         paths: Sequence[Path],
@@ -156,8 +158,8 @@ class DrawnData(OtherData):
         Raises:
             FleetError: one cannot be read, they are not alike, or the place cannot be written.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def figures(
         self,
         paths: Sequence[Path],
@@ -168,15 +170,14 @@ class DrawnData(OtherData):
         what: Sequence[str],
     ) -> dict[str, Figure]:
         """The pictures of `plot` by name, for scripts: nothing is told. `out`: None: no file is written."""
-        raise NotImplementedError
 
+    @abstractmethod
     def report(self, path: Path, out: Path, shown: PictureChoice) -> None:
         """Write the page `out` about it. Raises FleetError as `plot` does."""
-        raise NotImplementedError
 
 
 def drawn_data(path: Path) -> DrawnData | None:
-    """What draws something that is no log of a run; None: nobody does."""
+    """The part that draws what lies there, such as a study or a bag. None: nobody draws it, or it is a log of a run."""
     found = known_as(path)
     return found if isinstance(found, DrawnData) else None
 

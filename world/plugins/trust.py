@@ -80,7 +80,8 @@ class ModulePlace:
 def permit(kind: str, name: str, module: str, permission: Permission) -> None:
     """Let the module of a plug-in be found and imported, if it may run.
 
-    A module that does not exist is left to the import.
+    A module that does not exist is left to the import. One of the same name that ran from the folder of another
+    scenario is forgotten, with all that ran from there.
 
     Args:
         kind: of the plug-in, for the message.
@@ -92,11 +93,11 @@ def permit(kind: str, name: str, module: str, permission: Permission) -> None:
         UntrustedError: it may not run.
         PluginError: it is no module for a plug-in.
     """
-    if module in _allowed:
-        return
     own, because = permission.own, permission.because
+    if module in _allowed and not (own or permission.elsewhere):
+        return
     place = find(module, [*own, *permission.elsewhere])
-    if module in sys.modules:  # the module ran before
+    if module in sys.modules and not _namesake(module, place):  # the module ran before
         if place is not None and not place.installed:
             _allow(module, place)
         return
@@ -194,12 +195,15 @@ def _need_trust(kind: str, name: str, files: tuple[str, ...], folder: str, becau
 
 
 def find(module: str, folders: Iterable[Path]) -> ModulePlace | None:
-    """Where importing a module would find it if the folders stood at the end of the search path; None: nowhere."""
+    """Where importing a module would find it if the folders stood at the end of the search path; None: nowhere.
+
+    They stand before the folders that other scenarios added.
+    """
     first, *rest = module.split(".")
     spec = _first(first)
     places = [_installed(first)] if spec is not None else []
-    if spec is None:
-        spec = next(filter(None, (PathFinder.find_spec(first, [os.path.abspath(folder)]) for folder in folders)), None)
+    if spec is None or _folder(spec) in _added:
+        spec = next(filter(None, (PathFinder.find_spec(first, [os.path.abspath(folder)]) for folder in folders)), spec)
     if spec is None:
         return None
     specs, whole = [spec], first
@@ -249,7 +253,30 @@ def _folder(spec: ModuleSpec) -> str:
     return os.path.dirname(next(iter(inside)) if inside else spec.origin or "")
 
 
+def _namesake(module: str, place: ModulePlace | None) -> str:
+    """The folder of another scenario from which a module of the same name ran, as `place` is another; "": none."""
+    spec = getattr(sys.modules.get(module.partition(".")[0]), "__spec__", None)
+    ran = _folder(spec) if spec is not None else ""
+    return ran if place is not None and ran in _added and ran != place.folder else ""
+
+
+def _forget(folder: str) -> None:
+    """Take a folder of another scenario off the search path, and all modules out that ran from there.
+
+    The modules beside the one of the same name go as well, since it may have imported them under names that the new
+    folder has, too. Objects of theirs live on; only `import` does not find them any more.
+    """
+    tops = {n for n, m in sys.modules.items() if (s := getattr(m, "__spec__", None)) and _folder(s) == folder}
+    for name in [name for name in sys.modules if name.partition(".")[0] in tops]:
+        del sys.modules[name]
+        _allowed.discard(name)
+    sys.path[:] = [entry for entry in sys.path if entry != folder]
+    _added.remove(folder)
+
+
 def _allow(module: str, place: ModulePlace) -> None:
+    if other := _namesake(module, place):
+        _forget(other)
     _allowed.add(module)
     if place.folder not in sys.path[1:]:
         # At the end, so that nothing there takes the place of an installed module; agents get this path, too.

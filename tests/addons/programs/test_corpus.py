@@ -1,6 +1,6 @@
 """Programs and libraries of others, unchanged: each does its work in simulated time, with the same bytes each time.
 
-Those that need packages are slow tests: `pip install -r tests/addons/programs/corpus/requirements.txt`, and of Debian
+Those that need packages: `pip install -r tests/addons/programs/corpus/requirements.txt`, and of Debian
 redis-server, mosquitto, iperf3, socat, ncat. What is not there is skipped, with its name.
 """
 
@@ -81,7 +81,7 @@ def printed(result: Result) -> str:
 
 @pytest.mark.parametrize(
     "entry",
-    [pytest.param(each, id=each["name"], marks=[pytest.mark.slow] if each["needs"] else []) for each in ENTRIES],
+    [pytest.param(each, id=each["name"]) for each in ENTRIES],
 )
 def test_it_does_its_work_and_repeats(entry: dict[str, Any], tmp_path: Path) -> None:
     if lacks := missing(entry):

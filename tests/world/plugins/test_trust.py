@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from pathlib import Path
 
 import pytest
 
 from world.errors import PluginError, UntrustedError
-from world.plugins.loading import admit
+from world.plugins.loading import admit, load_class
 from world.plugins.trust import Permission, Trust, permitted_file, trusting
 
 BECAUSE = "a log names it"
@@ -62,3 +63,23 @@ def test_one_with_another_content_is_not_the_one_that_is_trusted(own: Path) -> N
 def test_a_file_that_is_not_there(name: str, own: Path) -> None:
     with pytest.raises(PluginError, match=f"there is no file {name}; it must lie beside the scenario"):
         admit("plant", f"fmu:{name}", Permission(own=(own,)))
+
+
+def _folder_of_laws(folder: Path, value: int) -> Permission:
+    folder.mkdir()
+    (folder / "namesake.py").write_text("from namesake_helper import VALUE\n\n\nclass Law:\n    value = VALUE\n")
+    (folder / "namesake_helper.py").write_text(f"VALUE = {value}\n")
+    return Permission(own=(folder,))
+
+
+def test_a_scenario_has_the_module_beside_it_and_not_its_namesake_beside_another(tmp_path: Path) -> None:
+    folders = {value: _folder_of_laws(tmp_path / str(value), value) for value in (1, 2)}
+    stranger = Permission(elsewhere=_folder_of_laws(tmp_path / "3", 3).own)
+    for value in (1, 2, 2, 1):
+        admit("agent", "namesake:Law", folders[value])
+        law = load_class("agent", "namesake:Law", lambda _: None)
+        assert law.value == value
+        assert [str(path) for path in sys.path if path.startswith(str(tmp_path))] == [str(folders[value].own[0])]
+        with pytest.raises(UntrustedError):
+            admit("agent", "namesake:Law", stranger)
+        assert load_class("agent", "namesake:Law", lambda _: None) is law

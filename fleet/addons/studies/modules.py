@@ -157,7 +157,7 @@ def get_ready(modules: Modules) -> None:
     with trusting(Trust(fingerprints=frozenset(modules.fingerprints))):
         for name in modules.names:
             permit("law", name, name, permission)
-        import_module(name)
+            import_module(name)
 
 
 @lru_cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from hashlib import sha256
 from pathlib import Path
 from random import getrandbits
 
@@ -11,7 +12,7 @@ from failing_laws import failing
 from small_scenario import SMALL
 
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.modules import Modules, folder_of, modules_of, packed
+from fleet.addons.studies.modules import Modules, folder_of, get_ready, modules_of, packed
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.trust import Policy
 
@@ -53,11 +54,26 @@ def test_a_worker_writes_them_once(ready: Modules, tag: str, monkeypatch: pytest
     assert folder_of(other) != folder
 
 
-def test_another_module_of_that_name_is_told(ready: Modules, tag: str) -> None:
-    """It is imported already, from where it lies."""
-    changed = ready._replace(carried=(*ready.carried[:2], (f"package_{tag}/law.py", b"# another one")))
-    with pytest.raises(StudyError, match=rf"another module package_{tag}.law is installed there, or was imported"):
-        folder_of(changed)
+def test_a_module_that_was_changed_replaces_the_one_of_the_study_before(ready: Modules, tag: str) -> None:
+    get_ready(ready)
+    name, law = f"package_{tag}.law", b"from helper_" + tag.encode() + b" import GAIN\n"
+    carried = ((f"helper_{tag}.py", b"GAIN = 2.0\n"), ready.carried[1], (f"package_{tag}/law.py", law))
+    prints = tuple(sha256(data).hexdigest() for _, data in carried)
+    get_ready(ready._replace(carried=carried, fingerprints=prints))
+    assert sys.modules[name].GAIN == 2.0
+
+
+def test_an_installed_module_of_that_name_is_told(
+    ready: Modules, tag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (package := tmp_path / "installed" / f"package_{tag}").mkdir(parents=True)
+    for name in ("__init__.py", "law.py"):
+        (package / name).write_text("# another one", "utf-8")
+    for name in (f"package_{tag}.law", f"package_{tag}"):
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "path", [*sys.path[:1], str(package.parent), *sys.path[1:]])
+    with pytest.raises(StudyError, match=rf"another module package_{tag} is installed there, .*: restart the worker"):
+        folder_of(ready)
 
 
 def test_a_path_that_leads_elsewhere_is_not_written(ready: Modules) -> None:

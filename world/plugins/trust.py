@@ -254,8 +254,8 @@ def _folder(spec: ModuleSpec) -> str:
 
 
 def _namesake(module: str, place: ModulePlace | None) -> str:
-    """The folder of another scenario from which a module of the same name ran, as `place` is another; "": none."""
-    spec = getattr(sys.modules.get(module.partition(".")[0]), "__spec__", None)
+    """The folder of another scenario where `import` would find a module of the same name first; "": none."""
+    spec = _first(module.partition(".")[0])
     ran = _folder(spec) if spec is not None else ""
     return ran if place is not None and ran in _added and ran != place.folder else ""
 

@@ -8,7 +8,7 @@ from time import monotonic_ns
 
 from waiting import wait_for
 
-from fleet.addons.robots.modems.modem import ModemCore, ModemLanguage
+from fleet.addons.modems.modem import ModemCore, ModemLanguage
 from netem.endpoint import HeardFrame, Level, ModemRequest, Sea, SentFrame
 from netem.modem import Modem
 

@@ -121,10 +121,10 @@ def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
     for i, node in enumerate((scenario.spec.nodes or {}).values(), start=1):
         if (modem := node.modem) is None:
             continue
-        from fleet.addons.robots.modems.evologics import EvoLogics
-        from fleet.addons.robots.modems.micromodem import MicroModem
-        from fleet.addons.robots.modems.modem import ModemCore, ModemLanguage
-        from fleet.addons.robots.modems.unet import Unet
+        from fleet.addons.modems.evologics import EvoLogics
+        from fleet.addons.modems.micromodem import MicroModem
+        from fleet.addons.modems.modem import ModemCore, ModemLanguage
+        from fleet.addons.modems.unet import Unet
 
         languages: dict[str, type[ModemLanguage]] = {"unet": Unet, "evologics": EvoLogics, "micromodem": MicroModem}
         language: Callable[[], ModemLanguage] = languages[modem.language]

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from fleet.addons.robots.modems.delivery import CLEARED, UNANSWERED, Job
-from fleet.addons.robots.modems.evologics_settings import OK, VERSIONS, Settings
-from fleet.addons.robots.modems.fragments import MOST_PIECES, Fragments
-from fleet.addons.robots.modems.line_port import MOST_LINE, Client
-from fleet.addons.robots.modems.modem import FIRST_OWN, FULL, PIGGYBACK, ModemCore
-from fleet.addons.robots.modems.usbl import Fix, measure_fix
+from fleet.addons.modems.delivery import CLEARED, UNANSWERED, Job
+from fleet.addons.modems.evologics_settings import OK, VERSIONS, Settings
+from fleet.addons.modems.fragments import MOST_PIECES, Fragments
+from fleet.addons.modems.line_port import MOST_LINE, Client
+from fleet.addons.modems.modem import FIRST_OWN, FULL, PIGGYBACK, ModemCore
+from fleet.addons.modems.usbl import Fix, measure_fix
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, Level, SentFrame, Sound
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.addons.robots.modems.usbl import RANGE_SIGMA, measure_fix
+from fleet.addons.modems.usbl import RANGE_SIGMA, measure_fix
 
 LENGTHS = st.floats(-3000.0, 3000.0)
 

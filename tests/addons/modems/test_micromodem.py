@@ -12,10 +12,10 @@ import pytest
 from modem_water import LIMIT_S, ModemClient, Water
 from waiting import wait_for
 
-from fleet.addons.robots.modems.line_port import MOST_LINE, MOST_UNREAD
-from fleet.addons.robots.modems.micromodem import ANSWER, DEFAULTS, FRAME, MINI, MicroModem, checksum, sentence
-from fleet.addons.robots.modems.micromodem_clock import ModemClock
-from fleet.addons.robots.modems.modem import RANGING, ModemCore
+from fleet.addons.modems.line_port import MOST_LINE, MOST_UNREAD
+from fleet.addons.modems.micromodem import ANSWER, DEFAULTS, FRAME, MINI, MicroModem, checksum, sentence
+from fleet.addons.modems.micromodem_clock import ModemClock
+from fleet.addons.modems.modem import RANGING, ModemCore
 from netem.cause import Cause
 from netem.errors import BusError
 
@@ -205,7 +205,7 @@ def test_rate_0_holds_32_bytes_and_has_statistics_of_its_cycle(program: Program,
 def test_data_that_do_not_come_are_told_in_the_statistics(
     program: Program, water: Water, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fleet.addons.robots.modems.micromodem.DATA_TIMEOUT_S", 0.0)
+    monkeypatch.setattr("fleet.addons.modems.micromodem.DATA_TIMEOUT_S", 0.0)
     program.says("CCCYC", 0, 1, 2, 1, 1, 2)
     told = [program.hears() for _ in range(4)]
     assert [one[0] for one in told] == ["CACYC", "CADRQ", "CAERR", "CAXST"]

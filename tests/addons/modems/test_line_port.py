@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from modem_water import LIMIT_S, ModemClient, Water
 from waiting import wait_for
 
-from fleet.addons.robots.modems import line_port
-from fleet.addons.robots.modems.evologics import EvoLogics
-from fleet.addons.robots.modems.line_port import MOST_LINE
-from fleet.addons.robots.modems.micromodem import MicroModem
-from fleet.addons.robots.modems.modem import ModemLanguage
-from fleet.addons.robots.modems.unet import Unet
+from fleet.addons.modems import line_port
+from fleet.addons.modems.evologics import EvoLogics
+from fleet.addons.modems.line_port import MOST_LINE
+from fleet.addons.modems.micromodem import MicroModem
+from fleet.addons.modems.modem import ModemLanguage
+from fleet.addons.modems.unet import Unet
 
 # A request of each language, and the beginning of its answer; and a payload that it sends.
 ASKS = {

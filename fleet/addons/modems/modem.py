@@ -28,8 +28,8 @@ from struct import Struct
 from time import monotonic_ns
 from typing import Any, Literal, Protocol
 
-from fleet.addons.robots.modems.delivery import CLEARED, Deliveries, Job
-from fleet.addons.robots.modems.line_port import LinePort, Translator
+from fleet.addons.modems.delivery import CLEARED, Deliveries, Job
+from fleet.addons.modems.line_port import LinePort, Translator
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, MOST_ADDRESS, UNKNOWN, HeardFrame, Level, ModemRequest, Sea, SentFrame, Sound
 

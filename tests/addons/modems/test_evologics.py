@@ -10,7 +10,7 @@ from math import asin, radians
 import pytest
 from modem_water import ModemClient, Water
 
-from fleet.addons.robots.modems.evologics import BURST, INSTANT, TIMED, EvoLogics
+from fleet.addons.modems.evologics import BURST, INSTANT, TIMED, EvoLogics
 from netem.cause import Cause
 from netem.endpoint import Level, ModemRequest, Sound
 
@@ -167,7 +167,7 @@ def test_burst_data_end_with_the_piece_that_fails(program: Program, water: Water
 
 def test_the_escape_needs_no_line_feed(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
     """As Rock's driver writes it, with a second before and behind it."""
-    monkeypatch.setattr("fleet.addons.robots.modems.evologics.ESCAPE_S", 0.0)
+    monkeypatch.setattr("fleet.addons.modems.evologics.ESCAPE_S", 0.0)
     assert program.asks(b"+++") == b"OK\r\n"
     assert program.asks(b"AT?AL\n") == b"1\r\n"
 

@@ -7,7 +7,7 @@ import random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.addons.robots.modems.fragments import MOST_PIECES, Fragments
+from fleet.addons.modems.fragments import MOST_PIECES, Fragments
 from netem.endpoint import HeardFrame
 
 

@@ -14,8 +14,8 @@ import pytest
 from modem_water import LIMIT_S, SPEED, ModemClient, Water
 from waiting import wait_for
 
-from fleet.addons.robots.modems.modem import RANGING
-from fleet.addons.robots.modems.unet import DATAGRAM_TOPIC, PARAMETER_TOPIC, Unet
+from fleet.addons.modems.modem import RANGING
+from fleet.addons.modems.unet import DATAGRAM_TOPIC, PARAMETER_TOPIC, Unet
 from netem.cause import Cause
 from netem.endpoint import SentFrame, Sound
 
@@ -476,7 +476,7 @@ def test_a_second_try_that_finds_no_room_at_all_has_failed(
     program: Program, water: Water, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else nobody would ever learn what became of the payload."""
-    monkeypatch.setattr("fleet.addons.robots.modems.modem._MOST_OWN", 0)
+    monkeypatch.setattr("fleet.addons.modems.modem._MOST_OWN", 0)
     program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
     for _ in range(2):
         program.requests(f"{UNET}.DatagramReq", "phy", data=[8])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from fleet.addons.robots.modems.modem import ModemCore
+from fleet.addons.modems.modem import ModemCore
 
 OK = b"OK"
 FIRMWARE = b"1.9"  # of which Rock and others write

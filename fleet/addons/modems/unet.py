@@ -14,11 +14,11 @@ from functools import partial
 from itertools import count
 from typing import Any
 
-from fleet.addons.robots.modems.delivery import CLEARED, Job
-from fleet.addons.robots.modems.fragments import MOST_PIECES, Fragments
-from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
-from fleet.addons.robots.modems.unet_fields import CONTROL, DATA, WrongFieldError, place_of, read_frame, read_number
+from fleet.addons.modems.delivery import CLEARED, Job
+from fleet.addons.modems.fragments import MOST_PIECES, Fragments
+from fleet.addons.modems.line_port import Client
+from fleet.addons.modems.modem import FIRST_OWN, ModemCore
+from fleet.addons.modems.unet_fields import CONTROL, DATA, WrongFieldError, place_of, read_frame, read_number
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, MOST_ADDRESS, HeardFrame, Level, SentFrame, Sound
 

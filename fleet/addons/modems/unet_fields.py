@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from fleet.addons.robots.modems.modem import FIRST_OWN
+from fleet.addons.modems.modem import FIRST_OWN
 from fleet.errors import FleetError
 from netem.endpoint import EVERYBODY
 

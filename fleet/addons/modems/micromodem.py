@@ -18,10 +18,10 @@ from functools import reduce
 from time import monotonic_ns
 from typing import NamedTuple
 
-from fleet.addons.robots.modems.delivery import Job
-from fleet.addons.robots.modems.line_port import Client
-from fleet.addons.robots.modems.micromodem_clock import ModemClock
-from fleet.addons.robots.modems.modem import FIRST_OWN, ModemCore
+from fleet.addons.modems.delivery import Job
+from fleet.addons.modems.line_port import Client
+from fleet.addons.modems.micromodem_clock import ModemClock
+from fleet.addons.modems.modem import FIRST_OWN, ModemCore
 from fleet.errors import FleetError
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, Level, SentFrame, Sound

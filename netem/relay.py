@@ -27,14 +27,11 @@ from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY
 from netem.links import make_links
 from netem.medium import IndependentLinks, MediumRound, Place
+from netem.modem_news import Began, ModemNews, Reached, Spoiled, Unsent
 from netem.network import fate_order
 from netem.robot_message import MODEM, PUT, RobotMessage
-from netem.station import Burst
 from netem.transit import HeldPacket, PendingPacket, Transit
 from netem.wire.messages import Fate, MeasuredRange
-
-_MOST_BEGUN = 10_000  # transmissions of modems whose beginnings are remembered
-_SPOILED = frozenset({Cause.COLLISION, Cause.SNR})  # what a receiver's modem notices
 
 
 class MessageFate(Fate, frozen=True):
@@ -77,7 +74,6 @@ class _Outbox(Transit):
         self.sizes: Counter[Link] = Counter()  # bytes under way
         self.full: set[Link] = set()  # links that have lost something because so much was under way
         self.final: list[MessageFate] = []
-        self.spoiled: list[Fate] | None = None  # losses, for modems that programs open; None: there are none
         self.begin_ns = self.reported = 0  # nothing becomes final before this tick any more
         self._count = 0
 
@@ -166,9 +162,9 @@ class Relay:
         self._out.begin_ns = begin_ns
         self._dry = None if water else IndependentLinks(config, self._links, self._out)
         self._water = AcousticChannel(config, self._links, self._out) if water else None
-        self._modems, self._begun = modems, dict[int, Burst]()  # by message: its transmission
+        self._modems, self._news = modems, None
         if modems and self._water is not None:
-            self._water.begun, self._out.spoiled = [], []
+            self._news = ModemNews(self._water, self._out, config.tick_ns, self._called)
         self._taken = 0
         self._leaving: dict[int, DueMessage] = {}  # given out by `handed` and not yet settled, by identity
         self._came: dict[int, list[tuple[PacketPart, bytes]]] = {}  # in water: what leaves at the next tick
@@ -345,66 +341,49 @@ class Relay:
         self._came = {}
         water.carry(MediumRound(tick, tick + 1, came, self.places, self._faults(tick), starts=starts))
         self._next = tick + 1
-        if self._modems:
-            self._tell_modems(water)
+        if self._news is not None:
+            self._tell_modems(self._news)
         if came:
             named, under_way = self._out.named, water.under_way()
             self._out.named = {name: part for name, part in named.items() if name in under_way}
 
-    def _tell_modems(self, water: AcousticChannel) -> None:
+    def _tell_modems(self, news: ModemNews) -> None:
         """Tell modems what begins to be transmitted, where it is heard, and what is lost before or spoiled there."""
-        tick_ns = self.config.tick_ns
-        for seq, burst in water.begun or ():
-            at_ns, airtime_ns = self._begin_ns + burst.start_tick * tick_ns, burst.airtime_ns
-            for i, _, travel_ns in burst.heard:
-                if i in self._modems:
-                    self._modems[i].reached(Sound(at_ns + travel_ns, at_ns + travel_ns + airtime_ns))
-            if seq is None:  # an answer of the channel's own
-                continue
-            message = self._out.named[burst.src, seq].message
-            self._begun[message.number] = burst
-            if burst.src in self._modems and message.kind == MODEM:
-                self._modems[burst.src].sent(SentFrame(message.what.tag, at_ns, airtime_ns))
-        for src, seq, cause in water.unsent:
-            part = self._out.named.get((src, seq))
-            if part is not None and part.message.kind == MODEM and src in self._modems:
-                self._modems[src].dropped(part.message.what.tag, cause)
-        for fate in self._out.spoiled or ():
-            if fate.cause in _SPOILED and fate.dst in self._modems:
-                named = self._out.named.get((fate.src, fate.seq))
-                level = UNKNOWN if named is None else self._level(named.message, fate.dst)
-                self._modems[fate.dst].spoiled(fate.cause, self._begin_ns + fate.final_tick * tick_ns, level)
-        water.begun, water.unsent, self._out.spoiled = [], [], []
-        while len(self._begun) > _MOST_BEGUN:
-            del self._begun[next(iter(self._begun))]
+        begin_ns = self._begin_ns
+        for i, event in news.take(self._modems):
+            modem = self._modems[i]
+            match event:
+                case Reached():
+                    modem.reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
+                case Began():
+                    modem.sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
+                case Unsent():
+                    modem.dropped(event.payload, event.cause)
+                case Spoiled():
+                    modem.spoiled(event.cause, begin_ns + event.at_ns, event.level)
+
+    def _called(self, src: int, seq: int) -> int | None:
+        """What a modem calls a payload of its own."""
+        part = self._out.named.get((src, seq))
+        return None if part is None or part.message.kind != MODEM else part.message.what.tag
 
     def frame_of(self, due: DueMessage) -> HeardFrame | None:
         """The frame that a modem hears with a message that is due. None: the message is damaged, and a modem has
         checksums.
         """
-        if due.packet.corrupted:
+        acoustic = self.config.acoustic
+        if due.packet.corrupted or self._news is None or acoustic is None:
             return None
-        request, packet, acoustic = due.message.what, due.packet, self.config.acoustic
-        end_ns = self._begin_ns + packet.sent_tick * self.config.tick_ns + packet.delay_ns
-        processing_ns = 0 if acoustic is None else round(acoustic.modem_of(due.dst).processing * 1e9)
-        sent_ns, airtime_ns = end_ns, 0
-        if (burst := self._begun.get(due.message.number)) is not None:
-            sent_ns, airtime_ns = self._begin_ns + burst.start_tick * self.config.tick_ns, burst.airtime_ns
-        begin_ns = end_ns - processing_ns - airtime_ns
-        here, there = self.places.get(due.dst), self.places.get(packet.src)
-        away = None if here is None or there is None else tuple(b - a for a, b in zip(here, there, strict=True))[:3]
+        heard = self._news.heard(due.packet, round(acoustic.modem_of(due.dst).processing * 1e9), self.places)
+        request, begin_ns = due.message.what, self._begin_ns
         return HeardFrame(
-            request.src, request.to, request.what, due.payload, sent_ns, begin_ns, end_ns, request.head,
-            self.level_of(due), away,
+            request.src, request.to, request.what, due.payload, begin_ns + heard.sent_ns, begin_ns + heard.begin_ns,
+            begin_ns + heard.end_ns, request.head, heard.level, heard.away,
         )  # fmt: skip
 
     def level_of(self, due: DueMessage) -> Level:
         """How strong the transmission of a message that is due was; UNKNOWN: it is forgotten."""
-        return self._level(due.message, due.dst)
-
-    def _level(self, message: RobotMessage, dst: int) -> Level:
-        burst = self._begun.get(message.number)
-        return UNKNOWN if burst is None or self._water is None else self._water.level(burst, dst)
+        return UNKNOWN if self._news is None else self._news.level(due.packet.src, due.packet.seq, due.dst)
 
     def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""

@@ -78,6 +78,7 @@ class Transit:
         self._tick_ns = config.tick_ns
         self.announced: list[PendingPacket] = []  # packets that are in an inbox and not yet due
         self.lost: list[Fate] = []  # losses whose final tick is still to come
+        self.spoiled: list[Fate] | None = None  # the last losses, for modems that want to know; None: none does
         self.ranges: dict[tuple[int, int, int, int], MeasuredRange] = {}  # packets without a final fate have one
         self.held: dict[Link, list[HeldPacket]] = {}  # packets that faults hold, in the order of sending
         self._reversed: set[tuple[int, int, int, int]] = set()  # released, and in no inbox yet
@@ -121,6 +122,8 @@ class Transit:
     def lose(self, fate: Fate) -> None:
         """A packet is lost; the fate is reported once its final tick is reached."""
         self.lost.append(fate)
+        if self.spoiled is not None:
+            self.spoiled.append(fate)
 
     def announce(
         self, alive: Collection[int], until: int, faults: ActiveFaults, clocks: Clocks | None = None

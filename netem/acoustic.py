@@ -56,6 +56,7 @@ from netem.link_trace import TRY
 from netem.links import Links
 from netem.medium import MediumRound
 from netem.medium_access import Access
+from netem.modem_frame import size_on_air
 from netem.ranges import Query, make_ranges
 from netem.station import ANSWER, Answer, Burst, QueuedPayload, Reception, Station, Transfer
 from netem.transit import PendingPacket, Transit
@@ -132,6 +133,10 @@ class AcousticChannel:
         """Lose a payload before its modem has it, because too much waits there."""
         self._lose_unsent(src, self._enter(tick, src, payload, 0), tick, Cause.QUEUE)
 
+    def next_number(self, src: int) -> int:
+        """The number of the next payload of a vehicle."""
+        return self._stations[src].seq
+
     def level(self, burst: Burst, dst: int) -> Level:
         """How strong a transmission is at a vehicle that hears it."""
         return self._air.level(burst, dst)
@@ -149,7 +154,7 @@ class AcousticChannel:
     ) -> None:
         sent = self._enter(tick, src, payload, faults.slow.get(src, 0))
         start = starts.get((src, sent.seq))
-        if len(payload) > self._longest[src]:
+        if size_on_air(payload) > self._longest[src]:
             self._lose_unsent(src, sent, tick, Cause.MTU)
         elif start is not None:
             insort(self._stations[src].timed, (max(start, sent.ready_tick), sent))
@@ -251,7 +256,7 @@ class AcousticChannel:
     def _occupy(self, station: Station, start: int, sent: QueuedPayload) -> int:
         """Let a modem transmit a payload from a tick on. Returns when that ends [ns]."""
         tick_ns = self._config.tick_ns
-        ends_ns = start * tick_ns + self._acoustic.modem_of(station.vehicle).airtime_ns(len(sent.payload))
+        ends_ns = start * tick_ns + self._acoustic.modem_of(station.vehicle).airtime_ns(size_on_air(sent.payload))
         station.free_tick = max(start + 1, -(-ends_ns // tick_ns))
         return ends_ns
 
@@ -312,7 +317,7 @@ class AcousticChannel:
         self, src: int, start: int, sent: QueuedPayload, transfer: Transfer | None, faults: ActiveFaults
     ) -> None:
         tick_ns = self._config.tick_ns
-        airtime = self._acoustic.modem_of(src).airtime_ns(len(sent.payload))
+        airtime = self._acoustic.modem_of(src).airtime_ns(size_on_air(sent.payload))
         number = sent.seq + (TRY * (transfer.tried - 1) if transfer is not None else 0)
         for dst in self._links.receivers[src] if transfer is None else transfer.to[:1]:
             link = (src, dst)

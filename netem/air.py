@@ -9,6 +9,7 @@ from netem.draws import uniform
 from netem.endpoint import UNKNOWN, Level
 from netem.medium import Place
 from netem.modem import AcousticConfig
+from netem.modem_frame import size_on_air
 from netem.propagation import decibels, fading_gain_db, power
 from netem.station import ANSWER, REPLY, REQUEST, Burst, Reception
 
@@ -71,7 +72,7 @@ class Air:
             share = receiver.survives(acoustic.received_level(r.range_m, sender) + gain - decibels(others))
             if share < 1.0 and uniform(self._seed, CAPTURE, r.src, r.dst, r.start_tick) >= share:
                 return Cause.COLLISION
-        lost = acoustic.packet_error_rate(r.range_m, len(r.payload), sender, receiver, gain)
+        lost = acoustic.packet_error_rate(r.range_m, size_on_air(r.payload), sender, receiver, gain)
         if lost and uniform(self._seed, _SHORT.get(r.copy, SNR), r.src, r.dst, r.seq, *start) < lost:
             return Cause.SNR
         return None

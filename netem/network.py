@@ -16,6 +16,7 @@ from netem.condition import Link
 from netem.config import NetemConfig
 from netem.faults import NetFault, active_faults
 from netem.links import make_links
+from netem.lockstep_modems import LockstepModems
 from netem.medium import IndependentLinks, Medium, MediumRound, Place
 from netem.transit import PendingPacket, Transit
 from netem.vehicle_clock import Clocks
@@ -39,8 +40,13 @@ class Netem:
         self.faults = config.faults  # in the order in which they begin; replaced as a whole by who injects
         self._links = make_links(config)
         self._transit = Transit(config)
-        make = IndependentLinks if config.acoustic is None else AcousticChannel
-        self._medium: Medium = make(config, self._links, self._transit)
+        self._medium: Medium
+        self._modems: LockstepModems | None = None
+        if config.acoustic is None:
+            self._medium = IndependentLinks(config, self._links, self._transit)
+        else:
+            self._medium = water = AcousticChannel(config, self._links, self._transit)
+            self._modems = LockstepModems(config, water, self._transit)
 
     @property
     def faults(self) -> tuple[NetFault, ...]:
@@ -77,14 +83,21 @@ class Netem:
         faults, ideal, transit = active_faults(self.faults, tick), self.config.ideal, self._transit
         until = tick if ideal else tick + self.config.round_ticks
         alive = transmissions.keys() if positions is None else positions.keys()
-        self._medium.carry(MediumRound(tick, until, transmissions, positions, faults, self._clocks))
+        round_ = MediumRound(tick, until, transmissions, positions, faults, self._clocks)
+        if self._modems is not None:
+            transmitted, starts = self._modems.take(transmissions)
+            round_ = round_._replace(transmissions=transmitted, starts=starts)
+        self._medium.carry(round_)
         if transit.held:
             # As all faults, a hold ends with the first round behind its end. If it ended within a round, a run in which
             # it was healed, which is not known before, would not be that of its record.
             transit.release(self.faults, tick, tick if ideal else tick + 1)
         # On an ideal network today's packets are due today, so they are announced before they are settled.
         fates = [] if ideal else transit.settle(tick)
+        before = len(transit.announced)
         inboxes, unheard = transit.announce(alive, until, faults, self._clocks)
+        if self._modems is not None:
+            self._modems.tell(tick, until, inboxes, transit.announced[before:], positions or {})
         if ideal:
             fates = transit.settle(tick)
         transit.lost += unheard
@@ -113,3 +126,5 @@ class Netem:
         self._links.take_over(before._links)
         self._transit.take_over(before._transit)
         self._medium.take_over(before._medium)
+        if self._modems is not None and before._modems is not None:
+            self._modems.take_over(before._modems)

@@ -9,17 +9,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from agents.api import Signal
 from fleet.addons.programs.executables import obstacle
+from fleet.addons.programs.helpers import own_python
 from fleet.addons.programs.library import NoLibraryError, compiled
 from fleet.addons.programs.line_signal import LineSignal
-from fleet.addons.programs.process_agent import PROCESSORS, ProcessAgent, epoch_ns, own_python
+from fleet.addons.programs.modem_beside import MODEM_NAMES
+from fleet.addons.programs.process_agent import PROCESSORS, ProcessAgent, epoch_ns
 from fleet.addons.programs.udp_ways import UdpWays
+from fleet.scenario.schema.nodes import ModemPortSection
 from world.errors import PluginError
 
 _PARAMETERS = (
     "module", "interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup",
-    "vehicle", "udp",
+    "vehicle", "udp", "modem",
 )  # fmt: skip
 # Of 1.0, where Python ran on stand-ins. Those with a value here need nothing any more.
 _OF_BEFORE = {"process": (True, "yes"), "order": ("ready",), "shared": None}
@@ -114,11 +119,29 @@ def _check_values(path: Path, parameters: Mapping[str, Any]) -> None:
         UdpWays(parameters.get("udp") or {})
     except (ValueError, TypeError, AttributeError):
         raise _wrong(path, f"udp: expected {{PORT: [AGENT, PORT]}}, got {parameters['udp']!r:.80}") from None
+    _check_modem(path, parameters.get("modem"))
     vehicle = parameters.get("vehicle", "")
     if vehicle not in ("", "ros2"):
         raise _wrong(
             path, f"vehicle: expected ros2, got {vehicle!r}", "others need no key: the guide says what they hear"
         )
+
+
+def _check_modem(path: Path, given: Any) -> None:
+    """See whether a modem is one as a file of nodes has it. Raises PluginError: it is not."""
+    if given is None:
+        return
+    hint = "modem: {unet: 1100}, {micromodem: PORT or PATH}, or {evologics: 9200}; see the guide of modems"
+    if not isinstance(given, Mapping):
+        raise _wrong(path, f"modem: expected a language and a port, got {given!r:.80}", hint)
+    try:
+        section = ModemPortSection.model_validate({k: v for k, v in given.items() if k not in MODEM_NAMES})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, ("modem", *first["loc"])))
+        raise _wrong(path, f"{where}: {first['msg'].removeprefix('Value error, ')}", hint) from None
+    if not section.where:
+        raise _wrong(path, "modem: expected a language with a port that is not 0, or with a path", hint)
 
 
 def _setup(path: Path, name: Any) -> tuple[str, ...]:

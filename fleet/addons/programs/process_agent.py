@@ -14,13 +14,22 @@ from pathlib import Path
 from random import Random
 from typing import Any, ClassVar
 
-import fleet
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
 from agents.packets import BEGIN, EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
 from fleet.addons.programs.attachment import attachment
+from fleet.addons.programs.helpers import helper_command
 from fleet.addons.programs.home import copy_of_disk
-from fleet.addons.programs.known_ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
+from fleet.addons.programs.known_ports import (
+    COMMAND_PORT,
+    MODEM_AGENT_PORT,
+    MODEM_PORT,
+    NAVIGATION_PORT,
+    READY_PORT,
+    WATER_PORT,
+    ZENOH_PORT,
+)
 from fleet.addons.programs.line_signal import LineSignal
+from fleet.addons.programs.modem_beside import is_for_modem, modem_command, to_modem
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.shared_sockets import KINDS as SOCKET_KINDS
 from fleet.addons.programs.shared_sockets import SharedSockets
@@ -60,6 +69,7 @@ class ProcessAgent:
         epoch: str = "",
         processors: int = PROCESSORS,
         udp: Mapping[str, Any] | None = None,
+        modem: Mapping[str, Any] | None = None,
         **_: Any,
     ) -> None:
         """Prepare the program; it is started with the agent's first tick.
@@ -75,6 +85,7 @@ class ProcessAgent:
             epoch: the time at the beginning of the run, such as `2026-06-01T12:00:00`, in UTC; "": 2026-01-01.
             processors: how many the program sees.
             udp: ports of the own host that stand for those of other agents, see `UdpWays`.
+            modem: an acoustic modem that the program opens, as a file of nodes has it; None: there is none.
         """
         self._config, self._tick_ns = config, config.tick_ns
         words = {"id": config.id, "seed": config.seed, "zenoh": _ENDPOINT}
@@ -89,6 +100,8 @@ class ProcessAgent:
         self._formation = FormationAgent(config)
         self._epoch_ns = epoch_ns(epoch) if epoch else EPOCH_NS
         self._processors, self._udp = processors, dict(udp or {})
+        self._modem = modem_command(config.id, modem) if modem else []
+        self._place: tuple[float, ...] = (0.0, 0.0, 0.0)
         self._life: _Life | None = None
         self._owner = os.getpid()
         self._history: list[tuple[int, list[Delivery], Nav | None]] = []
@@ -112,9 +125,9 @@ class ProcessAgent:
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
         """Hand over what has come, and let the program run until it waits."""
         now_ns, deliveries = nav.tick * self._tick_ns, list(deliveries)
-        tau, _ = self._formation.decide(nav, deliveries)
-        steers = None if self._config.moored else nav
-        packets = [each for each in deliveries if each.payload.startswith(BEGIN)]
+        tau, _ = self._formation.decide(nav, [each for each in deliveries if not is_for_modem(each)])
+        steers, self._place = None if self._config.moored else nav, nav.eta[:3]
+        packets = [each for each in deliveries if each.payload.startswith(BEGIN) or is_for_modem(each)]
         self._note_laws(now_ns, deliveries)
         if os.getpid() != self._owner:
             self._repeat()
@@ -147,8 +160,10 @@ class ProcessAgent:
                 self.beside,
                 self._processors,
                 UdpWays(self._udp),
+                self._modem,
             )  # fmt: skip
         life = self._life
+        life.place = self._place if nav is None else nav.eta[:3]
         for at_ns, stream, text in life.step(now_ns, packets, nav):
             for each in self.reads if stream in ("out", "err") else ():  # loggers, as those of ROS, write to err
                 if (value := each.read(text, self.values[each.name])) is not None:
@@ -221,10 +236,13 @@ class _Life:
         beside: Sequence[str],
         processors: int,
         ways: UdpWays,
+        modem: Sequence[str],
     ) -> None:
         self._id, self._book, self._ways = config.id, book, ways
         self._beside, self._environment = beside, environment
         self._node: int | None = None  # the family of the program beside it
+        self._modem, self._modem_family = modem, -1
+        self.place: tuple[float, ...] = (0.0, 0.0, 0.0)
         self._out: deque[bytes] = deque()
         # Fragments of a former life may still wait for the rest at others: a life that begins later has other numbers.
         self._queued, self._number = 0, Random(f"{config.seed}/{now_ns}").getrandbits(16) if now_ns else 0
@@ -259,7 +277,7 @@ class _Life:
             packets: payloads that have come.
             nav: where the vehicle is, which a program may steer by; None: it is moored.
         """
-        if self.over:  # what it had written to its streams is still sent
+        if self.over and not self._has_modem:  # what it had written to its streams is still sent
             self.streams.tick(now_ns)
             for delivery in packets:
                 self._hear(delivery)
@@ -276,6 +294,9 @@ class _Life:
                 processes.jump(now_ns)
             if not self._begun:
                 self._begun = True
+                if self._modem:  # first, so that its port is open when the program begins
+                    self._modem_family = processes.next_family  # its first datagram comes before the next line
+                    processes.begin_helper(self._modem)
                 processes.begin()
                 if self._beside:
                     self._node = processes.begin_helper([*self._beside, str(self._id)], self._environment)
@@ -290,10 +311,14 @@ class _Life:
             self._serve_zenoh(now_ns)
             if self._node is not None and processes.running and not processes.family_runs(self._node):
                 raise ProgramEnded("the node of its vehicle has ended, see its lines")
+            if self._modem and not self._has_modem:
+                raise ProgramEnded("its modem has ended, see its lines")
         except ProgramEnded as error:
             said += self._lines()
             return [*said, *self._end(str(error))]
         said += self._lines()
+        if self.over:  # its modem works on
+            return said
         if not processes.running:
             return [*said, *self._end(processes.problem)]
         if processes.is_dead and not streams.busy:
@@ -301,6 +326,10 @@ class _Life:
             said += self._lines()
             return [*said, *self._end("deadlock: no thread can ever run, and nothing is on its way to one")]
         return said
+
+    @property
+    def _has_modem(self) -> bool:
+        return self.processes.family_runs(self._modem_family)
 
     def _unanswered(self, port: int) -> bool:
         """Nobody listens on a port of the own agent: on zenoh's there will be an endpoint."""
@@ -313,7 +342,9 @@ class _Life:
         """Start the endpoint if a program wants to connect to it, and let the program connect when it listens."""
         if self._wanted and self._helper is None:
             heard = [str(each.id) for each in self._config.neighbours]
-            self._helper = self.processes.begin_helper([*endpoint_command(), str(self._id), *heard])
+            self._helper = self.processes.begin_helper(
+                helper_command("fleet.addons.programs.zenoh_endpoint", self._id, *heard)
+            )
             self.processes.advance(now_ns)
         if self._helper is not None and not self.processes.family_runs(self._helper):
             raise ProgramEnded("its zenoh endpoint has ended")
@@ -330,7 +361,8 @@ class _Life:
     def _end(self, problem: str) -> list[tuple[int, str, str]]:
         self.over = True
         now_ns = self.processes.now_ns
-        self.processes.close()
+        if problem or not self._has_modem:
+            self.processes.close()
         return [(now_ns, "failed", problem)] if problem else [(now_ns, "end", "exit status 0")]
 
     def _lines(self) -> list[tuple[int, str, str]]:
@@ -377,6 +409,10 @@ class _Life:
             return
         agent = self._book.agent(to_ip, to_port)
         here = is_own(to_ip, self._id)
+        if here and to_port == MODEM_AGENT_PORT and process.family == self._modem_family:
+            self.processes.answer(process, b"U\x01")
+            self._put(data[_ADDRESSES.size :])
+            return
         if here and (to_port == READY_PORT or (to_port == COMMAND_PORT and not self._config.moored)):
             self.processes.answer(process, b"U\x01")
             if to_port == READY_PORT:
@@ -399,6 +435,10 @@ class _Life:
             self._put(each.packed())
 
     def _hear(self, delivery: Delivery) -> None:
+        if is_for_modem(delivery):
+            head = _ADDRESSES.pack(_LOOPBACK, MODEM_AGENT_PORT, _LOOPBACK, MODEM_PORT)
+            self.processes.send(68, head + to_modem(delivery, self.place), family=self._modem_family)
+            return
         packet = read(delivery.payload)
         if packet is None or packet.agent not in (EVERYBODY, self._id):
             return
@@ -436,24 +476,6 @@ def epoch_ns(text: str) -> int:
     """A moment [ns since 1970] by its date and time in UTC. Raises ValueError: it is none."""
     at = datetime.fromisoformat(text)
     return round(at.replace(tzinfo=at.tzinfo or UTC).timestamp()) * NS
-
-
-def endpoint_command() -> list[str]:
-    """The command line of the zenoh endpoint, without its arguments."""
-    root = Path(fleet.__file__).parents[1]
-    begin = (
-        "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); runpy.run_module(sys.argv.pop(1), None, '__main__')"
-    )
-    return [own_python(), "-P", "-c", begin, str(root), "fleet.addons.programs.zenoh_endpoint"]
-
-
-def own_python() -> str:
-    """This Python, by one name: `sys.executable` has the name by which a process was started, `python` or `python3`.
-
-    A name of another length moves what the program has in its memory, and so the order of its sets.
-    """
-    own = Path(sys.prefix, "bin", f"python{sys.version_info.major}")
-    return str(own) if own.is_file() else sys.executable
 
 
 _PLACE = re.compile(r"\{(id|seed|zenoh)\}")

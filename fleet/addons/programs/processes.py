@@ -481,6 +481,11 @@ class Processes:
         return any(p.family == family for p in self._processes.values())
 
     @property
+    def next_family(self) -> int:
+        """The family of the helper that is begun next, see `begin_helper`."""
+        return len(self._popens)
+
+    @property
     def is_dead(self) -> bool:
         """Whether no thread of any process can ever run again: nothing that they wait for can come."""
         own = [p for p in self._processes.values() if p.family == 0]

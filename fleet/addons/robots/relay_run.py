@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from multiprocessing import Pipe
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -121,19 +120,9 @@ def modems_of(scenario: Scenario) -> Iterator[ModemEndpoint]:
     for i, node in enumerate((scenario.spec.nodes or {}).values(), start=1):
         if (modem := node.modem) is None:
             continue
-        from fleet.addons.modems.evologics import EvoLogics
-        from fleet.addons.modems.micromodem import MicroModem
-        from fleet.addons.modems.modem import ModemCore, ModemLanguage
-        from fleet.addons.modems.unet import Unet
+        from fleet.addons.modems.languages import modem_core
 
-        languages: dict[str, type[ModemLanguage]] = {"unet": Unet, "evologics": EvoLogics, "micromodem": MicroModem}
-        language: Callable[[], ModemLanguage] = languages[modem.language]
-        if modem.language == "evologics":
-            language = partial(EvoLogics, modem.mode or "data", modem.usbl)
-        if isinstance(where := modem.where, str):
-            yield ModemCore(i, language, terminal=where, address=modem.address)
-        else:
-            yield ModemCore(i, language, where or 0, modem.host, address=modem.address)
+        yield modem_core(i, modem)
 
 
 class RelayRun:

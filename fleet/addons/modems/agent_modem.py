@@ -1,0 +1,103 @@
+"""A modem whose water is that of a run in lockstep: what it sends are payloads of its agent, who hands it its news."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from msgspec import MsgspecError
+
+from fleet.addons.modems.modem import ModemCore
+from netem.endpoint import HeardFrame, ModemRequest, Sea, SentFrame, Sound
+from netem.lockstep_modems import read_news
+from netem.modem_frame import NEWS, SWITCH_ON, Frame, read_frame
+from netem.modem_news import Began, Heard, News, Reached, Spoiled, Station, Unsent
+
+Place = tuple[float, ...]
+
+
+class AgentModem:
+    """The modem of one agent."""
+
+    def __init__(
+        self,
+        modem: ModemCore,
+        name: str,
+        addresses: Mapping[str, int],
+        begin_ns: int,
+        send: Callable[[bytes], object],
+    ) -> None:
+        """Switch it on: it serves its programs when the water has answered.
+
+        Args:
+            modem: it, whose port is open.
+            name: of the agent's vehicle.
+            addresses: of all modems, by name of the vehicle.
+            begin_ns: t = 0 [ns, CLOCK_MONOTONIC].
+            send: takes payloads of the agent; called on the thread of the modem's port, too.
+        """
+        self._modem, self._name, self._addresses, self._begin_ns = modem, name, dict(addresses), begin_ns
+        self._send = send
+        self._place: Place = (0.0, 0.0, 0.0)
+        self._arrives: dict[tuple[int, int, int], Heard] = {}  # what is known of payloads that come next
+        self._begun = False
+        send(SWITCH_ON)
+
+    def hear(self, src: int, seq: int, copy: int, payload: bytes, place: Place) -> None:
+        """Take a payload that has reached the agent.
+
+        Args:
+            src, seq, copy: its sender, its number and that of its copy; news have the agent itself as their sender.
+            payload: the payload; what is neither news nor a frame is ignored.
+            place: where the vehicle is [m, NED].
+        """
+        self._place = place
+        if payload.startswith(NEWS) and src == self._modem.number:
+            self._arrives = {}
+            try:
+                news = read_news(payload)
+            except MsgspecError:
+                return
+            for event in news:
+                self._learn(event)
+        elif (heard := self._arrives.pop((src, seq, copy), None)) and (frame := read_frame(payload)):
+            begin_ns = self._begin_ns
+            self._modem.heard(
+                HeardFrame(
+                    frame.src, frame.to, frame.what, frame.payload, begin_ns + heard.sent_ns, begin_ns + heard.begin_ns,
+                    begin_ns + heard.end_ns, frame.head, heard.level, heard.away,
+                )
+            )  # fmt: skip
+
+    def _learn(self, event: News) -> None:
+        modem, begin_ns = self._modem, self._begin_ns
+        match event:
+            case Station():
+                if not self._begun:
+                    self._begun = True
+                    modem.begin(self._sea(event))
+            case Began():
+                modem.sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
+            case Unsent():
+                modem.dropped(event.payload, event.cause)
+            case Reached():
+                modem.reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
+            case Spoiled():
+                modem.spoiled(event.cause, begin_ns + event.at_ns, event.level)
+            case Heard():
+                self._arrives[event.src, event.seq, event.copy] = event
+
+    def _sea(self, station: Station) -> Sea:
+        return Sea(
+            station.modem, station.mtu, station.queue, station.access_s, station.sound_speed, self._begin_ns,
+            station.seed, self._name, {**self._addresses, self._name: self._modem.address}, self._transmit,
+            lambda: self._place, self._cannot_move,
+        )  # fmt: skip
+
+    def _transmit(self, request: ModemRequest) -> None:
+        at_ns = None if request.at_ns is None else request.at_ns - self._begin_ns
+        to, what = request.to, request.what
+        self._send(Frame(request.tag, request.src, to, what, request.payload, request.head, at_ns).packed())
+
+    def _cannot_move(self, _: Any) -> None:
+        self._modem.remark_once("a program said where its modem is: here a vehicle is where the run has it")

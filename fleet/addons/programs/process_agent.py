@@ -29,7 +29,7 @@ from fleet.addons.programs.known_ports import (
     ZENOH_PORT,
 )
 from fleet.addons.programs.line_signal import LineSignal
-from fleet.addons.programs.modem_beside import is_for_modem, modem_command, to_modem
+from fleet.addons.programs.modem_beside import ModemBeside, is_for_modem, modem_beside, to_modem
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.shared_sockets import KINDS as SOCKET_KINDS
 from fleet.addons.programs.shared_sockets import SharedSockets
@@ -44,6 +44,7 @@ MOST_IN_ROUND = 40_000  # bytes; the transport carries 48 kB in a message
 PROCESSORS = 4  # that a program sees; with one, executors of ROS 2 have one thread and handle no cancel in time
 MOST_QUEUED = 1 << 20  # bytes that wait for a round; what comes then is lost, as in a full network card
 _ADDRESSES = struct.Struct("<16sH16sH")
+_STILL: Vec3 = (0.0, 0.0, 0.0)  # N, N m, N m
 _LOOPBACK = V4 + b"\x7f\0\0\x01"
 _HOSTS = 254  # nodes that have a name, unless a neighbour has a larger number
 
@@ -100,7 +101,7 @@ class ProcessAgent:
         self._formation = FormationAgent(config)
         self._epoch_ns = epoch_ns(epoch) if epoch else EPOCH_NS
         self._processors, self._udp = processors, dict(udp or {})
-        self._modem = modem_command(config.id, modem) if modem else []
+        self._modem = modem_beside(config.id, modem) if modem else None
         self._place: tuple[float, ...] = (0.0, 0.0, 0.0)
         self._life: _Life | None = None
         self._owner = os.getpid()
@@ -119,13 +120,16 @@ class ProcessAgent:
 
     def transmit(self, nav: Nav) -> Sequence[bytes]:
         """What the agent that steers sends, and of what the program has sent as much as fits into a round."""
-        steering = list(self._formation.transmit(nav))
+        steering = [] if self._config.moored else list(self._formation.transmit(nav))
         return [*steering, *(self._life.leaving(MOST_IN_ROUND - sum(map(len, steering))) if self._life else ())]
 
     def decide(self, nav: Nav, deliveries: Iterable[Delivery]) -> tuple[Vec3, Telemetry]:
         """Hand over what has come, and let the program run until it waits."""
         now_ns, deliveries = nav.tick * self._tick_ns, list(deliveries)
-        tau, _ = self._formation.decide(nav, [each for each in deliveries if not is_for_modem(each)])
+        if self._config.moored:
+            tau = _STILL
+        else:
+            tau, _ = self._formation.decide(nav, [each for each in deliveries if not is_for_modem(each)])
         steers, self._place = None if self._config.moored else nav, nav.eta[:3]
         packets = [each for each in deliveries if each.payload.startswith(BEGIN) or is_for_modem(each)]
         self._note_laws(now_ns, deliveries)
@@ -236,7 +240,7 @@ class _Life:
         beside: Sequence[str],
         processors: int,
         ways: UdpWays,
-        modem: Sequence[str],
+        modem: ModemBeside | None,
     ) -> None:
         self._id, self._book, self._ways = config.id, book, ways
         self._beside, self._environment = beside, environment
@@ -296,7 +300,7 @@ class _Life:
                 self._begun = True
                 if self._modem:  # first, so that its port is open when the program begins
                     self._modem_family = processes.next_family  # its first datagram comes before the next line
-                    processes.begin_helper(self._modem)
+                    processes.begin_helper(self._modem.command, shares_files=self._modem.has_terminal)
                 processes.begin()
                 if self._beside:
                     self._node = processes.begin_helper([*self._beside, str(self._id)], self._environment)

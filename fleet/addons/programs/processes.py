@@ -61,6 +61,7 @@ class Process:
     pid: int  # the number that the program knows
     channel: socket.socket
     family: int  # which first process it comes from: 0 is the program, others are helpers of ours beside it
+    meets: int  # a family whose processes may wait for what it does, as they share files: the own one, or 0
     parent: int = 0
     deadline: int = 0
     inside: bool = False  # it waits for nothing that could come from outside
@@ -140,6 +141,7 @@ class Processes:
         self.status: int | None = None  # of the first process, as of subprocess.Popen; None: it runs
         self.refused = ""  # what the library has refused, in its words
         self._texts = [ProgramOutput(), ProgramOutput()]
+        self._may_have_printed = False
         self._visible = _visible([*command, *environment.values()])
         self._popens: list[subprocess.Popen[bytes]] = []  # of the first process of each family
         self._first = self._start(command, environment, *(text.file for text in self._texts))
@@ -150,11 +152,13 @@ class Processes:
         if self.status == 0 and not self._first.executions:
             raise ProgramEnded("the library was not loaded into it: it ran outside of simulated time")
 
-    def begin_helper(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> int:
+    def begin_helper(
+        self, command: Sequence[str], environment: Mapping[str, str] | None = None, *, shares_files: bool = False
+    ) -> int:
         """Start a program of ours beside it, with the same addresses, and let it run until it waits.
 
         It is no part of the program: it has none of its signals, and ends with it. What it prints goes to the program's
-        errors.
+        errors. `shares_files`: it and the program wait for what the other does to files, such as a terminal.
 
         Returns:
             The helper's family, see `send`.
@@ -165,6 +169,7 @@ class Processes:
         err = self._texts[1].file
         self._visible += [each for each in _visible(command) if each not in self._visible]
         process = self._start(command, environment or {}, err, err)
+        process.meets = 0 if shares_files else process.family
         self._read_turn(process)
         return process.family
 
@@ -196,7 +201,7 @@ class Processes:
         return process
 
     def _add(self, channel: socket.socket, parent: int, family: int) -> Process:
-        process = Process(self._next_pid, channel, family, parent)
+        process = Process(self._next_pid, channel, family, family, parent)
         self._next_pid += 1000  # so that agents and their processes have numbers of their own
         self._processes[process.pid] = process
         return process
@@ -273,11 +278,11 @@ class Processes:
             if turns > MOST_TURNS:
                 self._go_on_later(due)
                 return
-            # What one has done, such as to write into a pipe, the others of its family may be waiting for.
-            again = {p.family for p in due if p.did_something}
+            # What one has done, such as to write into a pipe, others may be waiting for.
+            again = {p.meets for p in due if p.did_something}
             for process in self._processes.values():
                 process.did_something = False
-            for process in [p for p in self._processes.values() if p.family in again or p in due] if again else due:
+            for process in [p for p in self._processes.values() if p.meets in again or p in due] if again else due:
                 turns += 1
                 if process.alive:
                     self._turn(process)
@@ -308,6 +313,7 @@ class Processes:
 
     def _read_turn(self, process: Process) -> None:
         """Take what a process tells until its turn is over."""
+        self._may_have_printed = True
         buffer, begun = process.buffer, None
         while True:
             while len(buffer) >= 5:
@@ -339,7 +345,7 @@ class Processes:
 
     def _has_relatives(self, process: Process) -> bool:
         return len(self._processes) > 1 and any(
-            p.family == process.family and p is not process for p in self._processes.values()
+            p.meets == process.meets and p is not process for p in self._processes.values()
         )
 
     def _take(self, process: Process, kind: int, data: bytes) -> None:
@@ -384,6 +390,7 @@ class Processes:
         channel = socket.socket(fileno=descriptor)
         channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _LOOK)
         child = self._add(channel, parent.pid, parent.family)
+        child.meets = parent.meets
         child.deadline = 0
         self._answer(parent, b"J" + self._configuration(child))
 
@@ -515,6 +522,9 @@ class Processes:
     def lines(self) -> list[tuple[str, str]]:
         """What has been printed since the last call: the stream, `out` or `err`, and a line."""
         over = not self.running
+        if not (self._may_have_printed or over):
+            return []  # to look costs two calls of the kernel
+        self._may_have_printed = False
         out = [("out", line) for line in self._texts[0].lines(over)]
         return out + [("err", line) for line in self._texts[1].lines(over)]
 
@@ -561,10 +571,20 @@ def _environment(seed: int) -> dict[str, str]:
     }  # fmt: skip
 
 
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a long text is no path
+        return False
+
+
 def _visible(command: Sequence[str]) -> list[str]:
-    """Folders below /tmp and the like that the program is to see: its own file, this Python, and what it is told of."""
+    """Folders below /tmp and the like that the program is to see: its own file, this Python, and what it is told of.
+
+    What is not there, such as a file that it will write, is one of its own disk.
+    """
     found = [sys.prefix, sys.base_prefix]
-    paths = [Path(word) for word in command if word.startswith("/")]
+    paths = [path for word in command if word.startswith("/") and _exists(path := Path(word))]
     if found_in_path := shutil.which(command[0]):
         paths.append(Path(found_in_path))
     for path in paths:

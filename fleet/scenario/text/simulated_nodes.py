@@ -11,7 +11,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from fleet.scenario.schema.nodes import udp_target
+from fleet.quantities import show_time
+from fleet.scenario.schema.nodes import ModemPortSection, udp_target
 from fleet.scenario.schema.programs import ProgramSection, filled, nodes_of, programs_of
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
@@ -36,6 +37,10 @@ _SHARED = (
     "checks",
     "log",
 )
+MODEM_PORTS = {"unet": 1100, "evologics": 9200, "micromodem": 7000}  # of a node that says 0; 7000 is our choice
+# A node with a modem and no program, such as a buoy that answers ranges. (Rejected: `sleep infinity`, which waits for
+# nothing that could come, and so counts as a deadlock.)
+_NOBODY = ProgramSection(run=["sleep", "1000000000"])
 Obstacle = tuple[tuple[str, ...], str, str]  # where, what is wrong, what to do
 
 
@@ -49,7 +54,7 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
         programs.setdefault(owner, []).append((program, section))
     for name, node in nodes.items():
         path, here = ("nodes", name), programs.get(name, [])
-        if not here:
+        if not here and node.modem is None:
             yield path, "has no program, and nobody joins simulated time from outside", "programs: {NAME: {run: ...}}"
         if len(here) > 1:
             words = f"has {len(here)} programs ({', '.join(each for each, _ in here)}): one in simulated time so far"
@@ -57,8 +62,6 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
         for key in ("listen", "connect", "zenoh"):
             if getattr(node, key) is not None:
                 yield (*path, key), "is of a real host", "leave it out: programs connect to {listen}"
-        if node.modem is not None:
-            yield (*path, "modem"), "modems answer on the wall clock so far", "clock: real"
         if node.isolate:
             yield path, "each program has a network of its own in simulated time: isolate is for the wall clock", ""
     for key in ("compose", "discovery", "header", "fragments"):
@@ -74,7 +77,7 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
             )
     for name, section in (spec.programs or {}).items():
         words = " ".join([*section.run, *section.env.values()])
-        for place in ("zenoh", "dir", "modem"):
+        for place in ("zenoh", "dir"):
             if f"{{{place}}}" in words:
                 yield ("programs", name), f"{{{place}}} is a file or port of a real host", "{listen}"
 
@@ -89,20 +92,21 @@ def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     dumped = spec.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
     found = {key: dumped[key] for key in _SHARED if key in dumped}
     names = list(spec.nodes or {})
-    network = {"period": ROUND} | {k: v for k, v in dumped["network"].items() if k != "period"}
-    if spec.network.acoustic is not None:
-        network["period"] = dumped["network"]["period"]
+    water = spec.network.acoustic is not None
+    tick = show_time(spec.tick) if water else ROUND  # in water all starts are at ticks, on both clocks
+    network = {"period": tick} | {k: v for k, v in dumped["network"].items() if k != "period"}
     checks = {key: value for key, value in found.get("checks", {}).items() if key != "punctual"}
     checks["programs"] = checks.get("programs", "running")
     offsets = [f"{x:g} {y:g} {z:g} m" for x, y, z in spec.formation.offsets or ()]
     per_vehicle = {}
-    for _, node, section in programs_of(spec.programs or {}, names):
-        number = names.index(node) + 1
-        per_vehicle[str(number)] = {"agent": _agent(spec, names, number, section, folder)}
+    sections = {node: section for _, node, section in programs_of(spec.programs or {}, names)}
+    for number, name in enumerate(names, start=1):
+        per_vehicle[str(number)] = {"agent": _agent(spec, names, number, sections.get(name, _NOBODY), folder)}
     return found | {
         "vehicles": len(names),
         "names": names,
         "moored": True,
+        "tick": tick,
         "reference": {"start": "0 0 0 m", "velocity": "0 0 0 m/s"},
         "formation": {"offsets": offsets},
         "initial": [{"position": each} for each in offsets],
@@ -126,7 +130,7 @@ def _agent(
 ) -> dict[str, Any]:
     node = (spec.nodes or {})[names[number - 1]]
     known = {
-        "listen": _ROUTER, "address": address(number), "node": names[number - 1], "number": number,
+        "listen": _ROUTER, "modem": str(_modem_place(node.modem)), "address": address(number), "node": names[number - 1], "number": number,
         "seed": spec.seed, "begin_s": _BEGIN_S, "duration_s": f"{spec.duration / 1e9:g}", "domain": "0",
     }  # fmt: skip
     here = folder / (section.folder or "")
@@ -148,7 +152,26 @@ def _agent(
     }
     ways = {port: udp_target(text) for port, text in node.udp.items()}
     udp = {port: [names.index(way[0]) + 1, way[2]] for port, way in ways.items() if way is not None}
+    if node.modem is not None:
+        agent["modem"] = _modem(spec, names, number, node.modem)
     return agent | ({"signals": lines} if lines else {}) | ({"udp": udp} if udp else {})
+
+
+def _modem_place(modem: ModemPortSection | None) -> int | str:
+    """Where programs open the modem of their node; each node has ports of its own."""
+    return "" if modem is None else modem.where or MODEM_PORTS[modem.language]
+
+
+def _modem(spec: ScenarioSpec, names: Sequence[str], number: int, modem: ModemPortSection) -> dict[str, Any]:
+    """The modem of a node as the key of a program."""
+    given: dict[str, Any] = modem.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
+    given.pop("host", None)
+    addresses = {
+        name: node.modem.address or i
+        for i, (name, node) in enumerate((spec.nodes or {}).items(), start=1)
+        if node.modem
+    }
+    return given | {modem.language: _modem_place(modem), "name": names[number - 1], "addresses": addresses}
 
 
 def _program(words: Sequence[str], here: Path, below: str | None) -> dict[str, Any]:

@@ -495,7 +495,7 @@ class Processes:
     @property
     def is_dead(self) -> bool:
         """Whether no thread of any process can ever run again: nothing that they wait for can come."""
-        own = [p for p in self._processes.values() if p.family == 0]
+        own = [p for p in self._processes.values() if p.meets == 0]
         return bool(own) and all(p.inside and p.deadline == NEVER for p in own)
 
     @property

@@ -120,7 +120,7 @@ def command_folders(spec: ScenarioSpec) -> list[Path]:
     """Where the commands lie that a file of nodes names without a path, such as `bash`: on the wall clock it may
     start any.
     """
-    first = {section.run[0] for section in (spec.programs or {}).values()}
+    first = {section.run[0] for section in (*(spec.programs or {}).values(), _NOBODY)}
     found = (shutil.which(word) for word in sorted(first) if "/" not in word)
     return [Path(file).resolve().parent for file in found if file is not None]
 
@@ -130,8 +130,9 @@ def _agent(
 ) -> dict[str, Any]:
     node = (spec.nodes or {})[names[number - 1]]
     known = {
-        "listen": _ROUTER, "modem": str(_modem_place(node.modem)), "address": address(number), "node": names[number - 1], "number": number,
-        "seed": spec.seed, "begin_s": _BEGIN_S, "duration_s": f"{spec.duration / 1e9:g}", "domain": "0",
+        "listen": _ROUTER, "modem": str(_modem_place(node.modem)), "address": address(number),
+        "node": names[number - 1], "number": number, "seed": spec.seed, "begin_s": _BEGIN_S,
+        "duration_s": f"{spec.duration / 1e9:g}", "domain": "0",
     }  # fmt: skip
     here = folder / (section.folder or "")
     words = [filled(word, known) for word in section.run]

@@ -24,14 +24,19 @@ from agents.udp_port import MOST_DATA, UdpPort
 from fleet.addons.programs.known_ports import WATER_PORT
 from fleet.errors import FleetError
 from netem.clock import Clock
+from netem.modem_frame import MARK
 from netem.wire.messages import Delivery, Nav
 
 if TYPE_CHECKING:
+    from fleet.addons.modems.agent_modem import AgentModem
+    from fleet.addons.modems.modem import ModemCore
     from fleet.addons.programs.zenoh_endpoint import ZenohEndpoint
+    from fleet.scenario.schema.nodes import ModemPortSection
 
 MOST_WAITING = (
     1 << 20
 )  # bytes of real programs that wait for a round; what comes then is lost, as in a full network card
+_MODEM = 0  # in place of a port
 _TOKENS_NS = 500_000_000  # how often tokens of zenoh are told
 
 
@@ -42,11 +47,13 @@ class Counts(NamedTuple):
         out: datagrams that they sent, and that went into the network.
         into: datagrams that were given to them.
         lost: those that found no room on the way out.
+        late: those that waited longer than a round on the way out: the run was behind, or much had to leave.
     """
 
     out: int
     into: int
     lost: int
+    late: int
 
 
 class UdpRule(NamedTuple):
@@ -72,10 +79,41 @@ class UdpRule(NamedTuple):
         return cls(int(port), host, int(to))
 
 
+def modem_section(text: str) -> ModemPortSection:
+    """A modem by what a user typed, such as `unet=1101`. Raises FleetError: it is none."""
+    from pydantic import ValidationError
+
+    from fleet.scenario.schema.nodes import LANGUAGES, ModemPortSection
+
+    language, _, where = text.partition("=")
+    if language not in LANGUAGES or not where:
+        raise FleetError(f"--modem: expected {', '.join(LANGUAGES)} with a port, such as unet=1101; got {text!r:.80}")
+    try:
+        return ModemPortSection.model_validate({language: int(where) if where.isdecimal() else where})
+    except ValidationError as error:
+        raise FleetError(f"--modem {language}: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
+
+
+class _Sent(NamedTuple):
+    """What a real program has said."""
+
+    port: int  # of the agent, from and to which it goes; `_MODEM`: it is a payload of the modem, as it is
+    data: bytes
+    agent: int  # EVERYBODY: all that hear
+    came_ns: int  # CLOCK_MONOTONIC
+
+
 class Gateway:
     """The core of an external agent; see `agents.loop.AgentCore`."""
 
-    def __init__(self, udp: Sequence[UdpRule], zenoh: str, carry: Sequence[str], tell: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        udp: Sequence[UdpRule],
+        zenoh: str,
+        carry: Sequence[str],
+        tell: Callable[[str], None],
+        modem: ModemPortSection | None = None,
+    ) -> None:
         """Prepare it.
 
         Args:
@@ -83,11 +121,16 @@ class Gateway:
             zenoh: the address of a router for real programs, as zenoh writes it; empty: none.
             carry: key expressions of what leaves through it.
             tell: called with a line for the user.
+            modem: an acoustic modem that real programs open; None: there is none.
         """
         self._rules, self._zenoh, self._carry, self._tell = tuple(udp), zenoh, tuple(carry), tell
-        self._sent: SimpleQueue[tuple[int, bytes, int]] = SimpleQueue()  # port, data, agent
-        self._waiting: deque[bytes] = deque()
-        self._size, self._out, self._into, self._lost = 0, 0, 0, 0
+        self._modem_section = modem
+        self._core: ModemCore | None = None
+        self._modem: AgentModem | None = None
+        self._sent: SimpleQueue[_Sent] = SimpleQueue()
+        self._waiting: deque[tuple[bytes, int]] = deque()  # payloads; when the first of a message came, else 0
+        self._size, self._out, self._into, self._lost, self._late = 0, 0, 0, 0, 0
+        self._notes: list[tuple[int, str]] = []
         self._sockets: dict[int, socket.socket] = {}
         self._endpoint: ZenohEndpoint | None = None
         self._told_ns = 0
@@ -102,11 +145,12 @@ class Gateway:
     @property
     def counts(self) -> Counts:
         """What has passed so far."""
-        return Counts(self._out, self._into, self._lost)
+        return Counts(self._out, self._into, self._lost, self._late)
 
     def begin(self, config: AgentConfig, clock: Clock) -> Gateway:
         """Open sockets and router. Raises FleetError: a port is in use, or there is no such host."""
-        self._tick_ns = config.tick_ns
+        self._tick_ns, self._round_ns = config.tick_ns, config.round_ticks * config.tick_ns
+        self._config = config
         self._ports: Mapping[int, UdpPort] = {
             port: UdpPort(config, port) for port in (*(rule.port for rule in self._rules), WATER_PORT)
         }
@@ -127,14 +171,39 @@ class Gateway:
         if self._zenoh:
             self._endpoint = self._opened(config)
             self._tell(f"real programs of zenoh connect to {self._zenoh}")
+        if self._modem_section is not None:
+            self._open_modem(self._modem_section)
         return self
+
+    def _open_modem(self, section: ModemPortSection) -> None:
+        from fleet.addons.modems.languages import modem_core
+        from netem.errors import BusError
+
+        core = modem_core(self._config.id, section)
+        try:
+            where = core.listen()
+        except BusError as error:
+            self.close()
+            raise FleetError(f"--modem {section.language}: {error}") from None
+        self._core = core
+        self._tell(f"real programs open the modem ({section.language}) at {where}")
+
+    def _switched_on(self, core: ModemCore, nav: Nav) -> AgentModem:
+        from fleet.addons.modems.agent_modem import AgentModem
+
+        begin_ns = monotonic_ns() - nav.tick * self._tick_ns  # at --speed 1
+        known = {f"auv{i}": i for i in (self._config.id, *(each.id for each in self._config.neighbours))}
+        name = f"auv{self._config.id}"
+        return AgentModem(
+            core, name, known, begin_ns, lambda data: self._sent.put(_Sent(_MODEM, data, 0, monotonic_ns()))
+        )
 
     def _opened(self, config: AgentConfig) -> ZenohEndpoint:
         from fleet.addons.programs.zenoh_endpoint import ZenohEndpoint
         from netem.errors import BusError
 
         def send(data: bytes, to: int | None) -> None:
-            self._sent.put((WATER_PORT, data, to or EVERYBODY))
+            self._sent.put(_Sent(WATER_PORT, data, to or EVERYBODY, monotonic_ns()))
 
         heard = [each.id for each in config.neighbours]
         try:
@@ -147,31 +216,46 @@ class Gateway:
             while True:
                 data, _ = listening.recvfrom(1 << 16)
                 if len(data) <= MOST_DATA:
-                    self._sent.put((port, data, EVERYBODY))
+                    self._sent.put(_Sent(port, data, EVERYBODY, monotonic_ns()))
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """What real programs have sent since the round before, as much as fits into a round; the rest waits."""
         with suppress(Empty):
             while True:
-                port, data, to = self._sent.get_nowait()
-                payloads = self._ports[port].send(data, to)
+                said = self._sent.get_nowait()
+                payloads = [said.data] if said.port == _MODEM else self._ports[said.port].send(said.data, said.agent)
                 size = sum(map(len, payloads))
                 if self._size + size > MOST_WAITING:
                     self._lost += 1
                     continue
                 self._size += size
                 self._out += 1
-                self._waiting += payloads
+                self._waiting += [(each, said.came_ns if number == 0 else 0) for number, each in enumerate(payloads)]
         taken: list[bytes] = []
-        room = MAX_PAYLOAD_BYTES
-        while self._waiting and len(self._waiting[0]) <= room:
-            taken.append(self._waiting.popleft())
-            room -= len(taken[-1])
-            self._size -= len(taken[-1])
+        room, now_ns = MAX_PAYLOAD_BYTES, monotonic_ns()
+        while self._waiting and len(self._waiting[0][0]) <= room:
+            payload, came_ns = self._waiting.popleft()
+            taken.append(payload)
+            room -= len(payload)
+            self._size -= len(payload)
+            if came_ns and now_ns - came_ns > self._round_ns + self._tick_ns:
+                self._count_late(nav.tick, now_ns - came_ns)
         return tuple(taken)
+
+    def _count_late(self, tick: int, waited_ns: int) -> None:
+        self._late += 1
+        if self._late == 1:
+            text = f"a message of its real program waited {waited_ns / 1e6:.0f} ms, longer than a round"
+            self._notes.append((tick, f"{text}; fleet agent counts all of them"))
 
     def decide(self, nav: Nav, deliveries: list[Delivery]) -> Decision:
         """Give real programs what has come. The vehicle itself stays, or is moored."""
+        if self._core is not None:
+            if self._modem is None:
+                self._modem = self._switched_on(self._core, nav)
+            for each in deliveries:
+                if each.payload.startswith(MARK):
+                    self._modem.hear(each.src, each.seq, each.copy, each.payload, nav.eta[:3])
         for port, ours in self._ports.items():
             for datagram in ours.receive(deliveries):
                 self._into += 1
@@ -191,8 +275,9 @@ class Gateway:
         return Decision((0.0, 0.0, 0.0), ())
 
     def take_notes(self) -> list[tuple[int, str]]:
-        """None: nothing of it is about a tick."""
-        return []
+        """That the first message was late, once."""
+        notes, self._notes = self._notes, []
+        return notes
 
     def close(self) -> None:
         """Close sockets and router."""
@@ -200,3 +285,5 @@ class Gateway:
             each.close()
         if self._endpoint is not None:
             self._endpoint.close()
+        if self._core is not None:
+            self._core.close()

@@ -6,6 +6,7 @@ import shutil
 import socket
 from pathlib import Path
 from textwrap import dedent
+from time import monotonic_ns
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,13 +18,13 @@ from waiting import wait_for
 
 from agents.api import UdpPort
 from agents.plugged_agent import MAX_PAYLOAD_BYTES
-from fleet.addons.hosts.gateway import MOST_WAITING, Gateway, UdpRule
+from fleet.addons.hosts.gateway import MOST_WAITING, Gateway, UdpRule, modem_section
 from fleet.errors import FleetError
 from netem.clock import Clock
 from netem.wire.messages import Delivery
 
 LIMIT_S = 60.0
-CONFIG: Any = SimpleNamespace(id=2, neighbours=(), tick_ns=20_000_000)
+CONFIG: Any = SimpleNamespace(id=2, neighbours=(), tick_ns=20_000_000, round_ticks=1)
 OTHER: Any = SimpleNamespace(id=1)
 NAV: Any = SimpleNamespace(tick=0)
 SIMULATED = """
@@ -79,12 +80,37 @@ def test_datagrams_go_both_ways_and_what_has_no_room_waits_or_is_lost() -> None:
                 [Delivery(due_tick=0, sent_tick=0, src=2, seq=0, copy=0, payload=p) for p in payloads_now]
             )
         ]
-        out, into, lost = gateway.counts
+        out, into, lost, _ = gateway.counts
         assert (len(got), into) == (out, 1) and got == sorted(got)
         assert out == MOST_WAITING // 30_588 and lost == 60 - out  # 21 packets of IP have 588 bytes of headers
     finally:
         gateway.close()
         real.close()
+
+
+def test_messages_that_wait_longer_than_a_round_are_counted_and_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Since the run is behind: its rounds come later than the wall clock has them."""
+    ours = free_port()
+    gateway = Gateway([UdpRule(ours, "127.0.0.1", 9)], "", (), lambda _: None).begin(CONFIG, Clock.LOCKSTEP)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as real:
+            for number in range(3):
+                real.sendto(b"hello", ("127.0.0.1", ours))
+                wait_for(lambda n=number: gateway._sent.qsize() > n, LIMIT_S, "the datagram")  # type: ignore[misc]
+        now_ns = monotonic_ns()
+        monkeypatch.setattr("fleet.addons.hosts.gateway.monotonic_ns", lambda: now_ns + 3_000_000_000)
+        assert len(gateway.transmit(NAV)) == 3 and gateway.counts.late == 3
+        ((tick, told),) = gateway.take_notes()
+        assert tick == 0 and "a message of its real program waited 30" in told
+        assert gateway.take_notes() == []
+    finally:
+        gateway.close()
+
+
+@pytest.mark.parametrize("text", ["unet", "unet=", "sonar=1", "unet=99999", "unet=tty"])
+def test_a_modem_that_is_none_is_told(text: str) -> None:
+    with pytest.raises(FleetError, match="--modem"):
+        modem_section(text)
 
 
 def test_a_port_that_is_taken_is_told() -> None:
@@ -131,8 +157,63 @@ def test_a_real_program_takes_part_in_a_run_that_repeats(tmp_path: Path, monkeyp
                     real.sendto(b"pong", sender)
                 assert run.status(LIMIT_S) == 0, run.printed
                 wait_for(lambda: "the run is over" in agent.printed, LIMIT_S, "its last words")
-                assert "of the real programs 3 datagrams went into the network" in agent.printed
+                assert "of the real programs 3 messages went into the network" in agent.printed
         lines = (run.directory / "log" / "agent-1.log").read_text()
         assert lines.count("real pong") >= 2
+    checked = invoke("verify", run.directory, "--trust")
+    assert checked.exit_code == 0 and "vehicle 2 is external" in checked.output, checked.output
+
+
+BUOY = """
+    import os, sys
+    port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+    text = b""
+    while b"$CAMPA" not in text:
+        text += os.read(port, 4096)
+    print("heard a range request", flush=True)
+"""
+
+
+@pytest.mark.once
+@pytest.mark.skipif(shutil.which("cc") is None, reason="the library for programs is compiled by cc")
+def test_a_real_driver_has_the_modem_of_a_vehicle_in_the_one_water(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It measures the range to a simulated one: 300 m are 0.2 s. `verify` repeats the run."""
+    monkeypatch.chdir(tmp_path)
+    port = free_port()
+    (tmp_path / "buoy.py").write_text(dedent(BUOY))
+    (tmp_path / "water.yaml").write_text(
+        dedent("""
+            title: A simulated modem and a real driver
+            vehicles: 2
+            moored: true
+            tick: 20 ms
+            duration: 7 s
+            formation: {offsets: [0 0 0 m, 300 0 0 m]}
+            initial: [{position: 0 0 10 m}, {position: 300 0 10 m}]
+            graph: {shape: complete}
+            network: {period: 20 ms, acoustic: {modem: s2c}}
+            agent: {program: buoy.py, arguments: [tty], modem: {micromodem: tty}}
+            per_vehicle: {2: {external: true}}
+        """)
+    )
+    run = LiveRun(tmp_path / "runs", str(tmp_path / "water.yaml"), "--speed", "1", "--trust")
+    with run:
+        file = run.out / "latest" / "join-2.json"
+        wait_for(lambda: run.over or file.exists(), LIMIT_S, "the join file")
+        assert not run.over, run.printed
+        with Command("agent", "--join", file, "--modem", f"micromodem={port}") as agent:
+            wait_for(lambda: "real programs open the modem (micromodem) at" in agent.printed, LIMIT_S, "the port")
+            with socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S) as driver:
+                driver.sendall(b"$CCCFG,SRC,2\r\n$CCMPC,2,1\r\n")
+                text = b""
+                while b"$CAMPR" not in text:
+                    data = driver.recv(4096)
+                    assert data, text
+                    text += data
+            assert run.status(LIMIT_S) == 0, run.printed
+    assert b"$CAMPR,1,2,0.2000*" in text
+    assert "heard a range request" in (run.directory / "log" / "agent-1.log").read_text()
     checked = invoke("verify", run.directory, "--trust")
     assert checked.exit_code == 0 and "vehicle 2 is external" in checked.output, checked.output

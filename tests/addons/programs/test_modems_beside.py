@@ -32,8 +32,10 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def made(modems: dict[str, Any], programs: dict[str, Any], **more: Any) -> Result:
     nodes = {name: {"modem": modem, "place": PLACES[name]} for name, modem in modems.items()}
-    stack: dict[str, Any] = {"title": "Modems", "clock": "simulated", "nodes": nodes, "programs": programs,
-                             "network": WATER, "duration": "12 s", "checks": {"programs": dict.fromkeys(programs, "done")}}  # fmt: skip
+    stack: dict[str, Any] = {
+        "title": "Modems", "clock": "simulated", "nodes": nodes, "programs": programs, "network": WATER,
+        "duration": "12 s", "checks": {"programs": dict.fromkeys(programs, "done")},
+    }  # fmt: skip
     Path("stack.yaml").write_text(yaml.safe_dump(stack | more), "utf-8")
     return fleet.run("stack.yaml", out="runs")
 

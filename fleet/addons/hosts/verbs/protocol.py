@@ -127,6 +127,9 @@ def agent(
         "ADDRESS")] = "",
     carry: Annotated[tuple[str, ...], Option(
         "With --zenoh: key expressions of what leaves the vehicle; by default all.", "KEYEXPR")] = (),
+    modem: Annotated[str, Option(
+        "A real program is the agent, and opens an acoustic modem here: unet=1101, evologics=9200, micromodem=7000 or "
+        "micromodem=PATH.", "LANGUAGE=PORT")] = "",
     trust: Trust = False,
     quiet: Annotated[bool, Option("Print only errors.", flag="-q --quiet")] = False,
 ) -> None:  # fmt: skip
@@ -141,6 +144,7 @@ def agent(
       fleet agent --join runs/latest/join-3.json --wait       also before the run is started
       fleet agent --join runs/latest/join-3.json --ros2       a node of ROS 2 commands vehicle 3
       fleet agent --join runs/latest/join-3.json --udp 9000=192.168.0.7:9100     a real computer is vehicle 3
+      fleet agent --join runs/latest/join-3.json --modem unet=1101    and talks by the modem of vehicle 3
     """
     import setproctitle
 
@@ -149,14 +153,14 @@ def agent(
     from netem.wire.messages import RUN_OVER, End
     from netem.wire.session import quiet_zenoh
 
-    if bool(ros2) + bool(udp or zenoh) > 1:
-        raise click.UsageError("--ros2 and --udp or --zenoh: one of them is the agent")
+    if ros2 and (udp or zenoh or modem):
+        raise click.UsageError("--ros2 and --udp, --zenoh or --modem: one of them is the agent")
     if carry and not zenoh:
         raise click.UsageError("--carry has no effect without --zenoh")
     line = StatusLine(quiet=quiet)
     tell = line.print
     joined = False
-    gateway = _gateway(udp, zenoh, carry, tell) if udp or zenoh else None
+    gateway = _gateway(udp, zenoh, carry, modem, tell) if udp or zenoh or modem else None
 
     def begun(text: str) -> None:
         nonlocal joined
@@ -187,20 +191,22 @@ def agent(
         click.echo(f"fleet: the law failed: {type(error).__name__}: {error}", err=True)
         _leave(3)
     if gateway is not None:
-        out, into, lost = gateway.counts
-        without = f"; {lost} found no room" if lost else ""
-        tell(f"of the real programs {out} datagrams went into the network, {into} came{without}")
+        out, into, lost, late = gateway.counts
+        without = f"; {late} waited longer than a round" if late else ""
+        without += f"; {lost} found no room" if lost else ""
+        tell(f"of the real programs {out} messages went into the network, {into} came{without}")
         if gateway.pace > _TOO_FAST:
             tell(f"the run was {gateway.pace:.2g} times faster than the wall clock of the real programs: --speed 1")
     tell(f"agent {vehicle}: {end.reason}")
     _leave(0 if end.reason == RUN_OVER else 3)
 
 
-def _gateway(udp: Sequence[str], zenoh: str, carry: Sequence[str], tell: Callable[[str], None]) -> Gateway:
+def _gateway(udp: Sequence[str], zenoh: str, carry: Sequence[str], modem: str, tell: Callable[[str], None]) -> Gateway:
     """What stands for real programs. Raises FleetError: a rule is none."""
-    from fleet.addons.hosts.gateway import Gateway, UdpRule
+    from fleet.addons.hosts.gateway import Gateway, UdpRule, modem_section
 
-    return Gateway([UdpRule.of(text) for text in udp], zenoh, carry or ("**",), tell)
+    section = modem_section(modem) if modem else None
+    return Gateway([UdpRule.of(text) for text in udp], zenoh, carry or ("**",), tell, section)
 
 
 @cache

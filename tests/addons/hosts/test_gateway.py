@@ -189,11 +189,11 @@ def test_a_real_driver_has_the_modem_of_a_vehicle_in_the_one_water(
             vehicles: 2
             moored: true
             tick: 20 ms
-            duration: 7 s
+            duration: 4 s
             formation: {offsets: [0 0 0 m, 300 0 0 m]}
             initial: [{position: 0 0 10 m}, {position: 300 0 10 m}]
             graph: {shape: complete}
-            network: {period: 20 ms, acoustic: {modem: s2c}}
+            network: {period: 20 ms, acoustic: {modem: s2c, backoff: 100 ms}}
             agent: {program: buoy.py, arguments: [tty], modem: {micromodem: tty}}
             per_vehicle: {2: {external: true}}
         """)

@@ -38,7 +38,7 @@ FIRST_OWN = 64
 RANGING = FIRST_OWN
 PIGGYBACK = FIRST_OWN + 9  # what came with an acknowledgement
 _REQUEST = Struct("<B")  # its number
-_ANSWER = Struct("<Bq")  # the number of the request, and when it had come [ns]
+_ANSWER = Struct("<Bq")  # the number of the request, and when it had come [ns since the modems were switched on]
 _MOST_OWN = 64  # answers and second tries that wait at most
 # What has a time is given to the channel so long before it, since that takes payloads at the ticks of the run.
 _LEAD_NS = 50_000_000
@@ -382,13 +382,14 @@ class ModemCore:
         elif frame.what != RANGING:
             self.language.heard(frame, linked=False)
         elif len(frame.payload) == _REQUEST.size:
-            self._put(Job(_ANSWER.pack(frame.payload[0], frame.begin_ns), frame.src, RANGING))
+            came_ns = frame.begin_ns - self.sea.begin_ns  # clocks of hosts differ, as do real and simulated ones
+            self._put(Job(_ANSWER.pack(frame.payload[0], came_ns), frame.src, RANGING))
             self.language.pinged(frame)
         elif len(frame.payload) == _ANSWER.size:
             number, came_ns = _ANSWER.unpack(frame.payload)
             for one in [one for one in self._ranging if (one.to, one.number) == (frame.src, number) and one.sent_ns]:
                 self._ranging.remove(one)
-                travel_ns = (frame.begin_ns - one.sent_ns) - (frame.sent_ns - came_ns)
+                travel_ns = (frame.begin_ns - one.sent_ns) - (frame.sent_ns - self.sea.begin_ns - came_ns)
                 one.then(self.sea.sound_speed * travel_ns / 2e9)
 
     def _tick(self) -> float | None:

@@ -246,7 +246,7 @@ def test_a_ping_has_the_one_way_time(program: Program, water: Water) -> None:
     program.says("CCMPC", 1, 2)
     assert program.hears() == ["CAMPC", "1", "2"]
     water.sends(at_s=1.0)
-    answer = b"\0" + water.at(1.4).to_bytes(8, "little")
+    answer = b"\0" + round(1.4e9).to_bytes(8, "little")
     water.brings(2, answer, what=RANGING, left=4.4, came=4.8)
     assert program.hears() == ["CAMPR", "2", "1", "0.4000"]
     assert program.hears()[:3] == ["CACST", "6", "0"]

@@ -292,7 +292,7 @@ def test_a_range_is_half_of_the_travel_without_the_turn_around(program: Program,
     assert program.message()[1]["perf"] == "AGREE"
     request = water.sends(at_s=1.0)
     assert (request.to, request.what) == (2, RANGING)
-    answer = request.payload + water.at(1.4).to_bytes(8, "little")
+    answer = request.payload + round(1.4e9).to_bytes(8, "little")
     water.brings(2, answer, what=RANGING, left=4.4, came=4.8)
     kind, data = program.message()
     assert (kind, data["to"]) == ("RangeNtf", 2) and data["range"] == pytest.approx(600.0)
@@ -305,7 +305,7 @@ def test_two_ranges_at_a_time_are_not_mixed_up(program: Program, water: Water) -
         assert program.message()[1]["perf"] == "AGREE"
     asked = [water.sends(at_s=at) for at in (1.0, 1.3)]
     for request, came, left in zip(asked, (1.4, 1.7), (2.0, 4.0), strict=True):
-        answer = request.payload + water.at(came).to_bytes(8, "little")
+        answer = request.payload + round(came * 1e9).to_bytes(8, "little")
         water.brings(2, answer, what=RANGING, left=left, came=left + 0.4)
     assert [program.message()[1]["range"] for _ in range(2)] == pytest.approx([600.0, 600.0])
 
@@ -313,7 +313,7 @@ def test_two_ranges_at_a_time_are_not_mixed_up(program: Program, water: Water) -
 def test_a_request_of_ranging_is_answered_with_when_it_came(water: Water) -> None:
     water.brings(3, b"\7", what=RANGING, left=1.0, came=2.0)
     request = water.next()
-    assert (request.to, request.payload) == (3, b"\7" + water.at(2.0).to_bytes(8, "little"))
+    assert (request.to, request.payload) == (3, b"\7" + round(2.0e9).to_bytes(8, "little"))
 
 
 def test_the_link_acknowledges_and_tries_again(program: Program, water: Water) -> None:

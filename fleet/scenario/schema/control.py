@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+from math import inf
+from time import monotonic
 from typing import Annotated, Any, Literal
 
 from pydantic import PlainSerializer, model_validator
@@ -81,6 +84,24 @@ class LocalizationSection(Section):
     nis: bool = False  # report the signal `guidance.nis`
 
 
+class _Now:
+    """The date and time in UTC, to a second: the same for all vehicles of a scenario that is read."""
+
+    _SAME_S = 10.0
+
+    def __init__(self) -> None:
+        self._read_s, self._text = -inf, ""
+
+    def __str__(self) -> str:
+        if monotonic() - self._read_s > self._SAME_S:
+            now = datetime.now(UTC)  # noqa: TID251  # what a user asks for by `epoch: now`; the run is given the number
+            self._read_s, self._text = monotonic(), now.isoformat(timespec="seconds").removesuffix("+00:00")
+        return self._text
+
+
+_now = _Now()
+
+
 class AgentSection(Section):
     """A whole agent in place of the laws, and the clock and the localisation of the agent, whichever it is."""
 
@@ -111,6 +132,8 @@ class AgentSection(Section):
         if twice := sorted(given.keys() & more.keys()):
             raise mistake(f"agent.{twice[0]} and agent.parameters.{twice[0]} are the same", hint="give one of them")
         parameters = given | more
+        if parameters.get("epoch") == "now":  # the scenario that a run keeps has the moment, so that it can be repeated
+            parameters["epoch"] = str(_now)
         return own | {"law": f"program:{program}"} | ({"parameters": parameters} if parameters else {})
 
 

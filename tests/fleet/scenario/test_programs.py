@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from fleet.execution.external_agents import refuse
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.programs import admit_programs
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.schema.control import AgentSection
 from fleet.scenario.schema.programs import PLACEHOLDERS, filled, path_of, programs_of, struct_of, wanted
 from fleet.scenario.sections.node_signals import node_layout, told_by
 from fleet.scenario.trust import Policy
@@ -291,3 +293,12 @@ def test_a_strangers_pattern_is_refused_and_holds_up_no_reader(signal: dict[str,
     """The first one had more ways to be a path than anybody can try; the next two were tracebacks."""
     found = refused(**WHOLE | {"signals": {"x": signal}})
     assert any(expected in each for each in found), found
+
+
+def test_now_is_a_number_in_the_scenario_that_a_run_keeps() -> None:
+    """The same for all vehicles, so that the run can be made again."""
+    sections = [AgentSection.model_validate({"program": "p.py", "epoch": "now"}) for _ in range(2)]
+    first, second = (dict(section.parameters or {})["epoch"] for section in sections)
+    assert first == second and datetime.fromisoformat(first).replace(tzinfo=UTC).year >= 2026
+    given = AgentSection.model_validate({"program": "p.py", "epoch": "2026-06-01T12:00:00"})
+    assert given.parameters == {"epoch": "2026-06-01T12:00:00"}

@@ -6,7 +6,7 @@ All three begin with 0x82 and `modem`, and a byte that says which it is:
 |---|---|---|
 | 0 | the agent, to its modem | nothing: the modem is switched on, and tells its news from now on. It is not sent. |
 | 1 | the agent, to other modems | a frame |
-| 2 | its modem, to the agent | news: MessagePack of a list, see `netem.modem_news`. Its sender is the agent itself. |
+| 2 | its modem, to the agent | news: MessagePack of a list of lists, times in ns of the run. Its sender is the agent. |
 
 A frame:
 

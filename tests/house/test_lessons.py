@@ -25,12 +25,12 @@ assert _spec is not None and _spec.loader is not None
 notebooks = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(notebooks)
 LESSONS = {page.stem: page for page in notebooks.lessons()}
-NEEDS = {"4-where-does-it-break": "3-your-own-protocol"}  # a lesson that goes on with the files of another
+NEEDS = {"4-where-does-it-break": "3-your-own-protocol", "11-one-real-vehicle": "9-your-program-in-lockstep"}  # a lesson that goes on with the files of another
 EXTRAS = {"4-where-does-it-break": "pandas", "5-watch-it-live": "nicegui", "7-ros2": "rosbags",
           "8-your-own-stack": "pandas",
           "9-your-program-in-lockstep": "pandas", "10-your-modem-code": "unetpy"}  # fmt: skip
 
-ON_THE_WALL_CLOCK = ("8-your-own-stack", "10-your-modem-code")  # they wait more than a minute
+ON_THE_WALL_CLOCK = ("8-your-own-stack", "11-one-real-vehicle")  # they wait more than a minute
 
 # A command that ends with 2 or more ends the box: 1 is a failed check, which some lessons are about.
 STRICT = "trap 's=$?; [ $s -lt 2 ] || exit $s' ERR\n"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 from inspect import getdoc
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 from msgspec import inspect
 
-from agents import compact, payload
+from agents import compact, message, packets, payload
 from agents.config import (
     AgentConfig,
     Cylinder,
@@ -23,9 +23,11 @@ from agents.config import (
 from agents.localization import payload as located
 from agents.offset import Offset, OffsetChange
 from agents.trajectory import Circle, Path, StraightLine
+from netem import modem_frame
 from netem.cause import Cause
 from netem.fault_kinds import WorldFaultKind
 from netem.limits import WIRE_MESSAGE
+from netem.modem_news import News
 from netem.wire.credentials import LEASE_MS
 from netem.wire.fields import Route, WireRecord
 from netem.wire.messages import PROTOCOL_VERSION, Message, TimedFault, WorldFault
@@ -421,7 +423,17 @@ def page() -> str:
     parts.append(f"## The payload of our own agents\n\nOpaque to the network.\n\n{getdoc(payload)}\n")
     parts.append(f"### The compact payload\n\n{getdoc(compact)}\n")
     parts.append(f"### The located payload\n\n{getdoc(located)}\n")
+    parts.append(f"## Payloads that programs, laws and gateways share\n\n### Messages\n\n{getdoc(message)}\n")
+    parts.append(f"### Packets\n\n{getdoc(packets)}\n")
+    parts.append(f"### Modems\n\n{getdoc(modem_frame)}\n\nThe news:\n")
+    parts += [f"* `{_news(cls)}`: {getdoc(cls)}" for cls in get_args(News)]
+    parts.append("")
     return "\n".join(parts)
+
+
+def _news(cls: Any) -> str:
+    """The list that stands for a piece of news: its tag, and its fields."""
+    return f"[{', '.join([str(cls.__struct_config__.tag), *cls.__struct_fields__])}]"
 
 
 def _table(fields: Mapping[str, Field]) -> str:

@@ -25,7 +25,10 @@ assert _spec is not None and _spec.loader is not None
 notebooks = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(notebooks)
 LESSONS = {page.stem: page for page in notebooks.lessons()}
-NEEDS = {"4-where-does-it-break": "3-your-own-protocol", "11-one-real-vehicle": "9-your-program-in-lockstep"}  # a lesson that goes on with the files of another
+NEEDS = {
+    "4-where-does-it-break": "3-your-own-protocol",
+    "11-one-real-vehicle": "9-your-program-in-lockstep",
+}  # a lesson that goes on with the files of another
 EXTRAS = {"4-where-does-it-break": "pandas", "5-watch-it-live": "nicegui", "7-ros2": "rosbags",
           "8-your-own-stack": "pandas",
           "9-your-program-in-lockstep": "pandas", "10-your-modem-code": "unetpy"}  # fmt: skip

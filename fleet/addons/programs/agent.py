@@ -16,15 +16,18 @@ from fleet.addons.programs.executables import obstacle
 from fleet.addons.programs.helpers import own_python
 from fleet.addons.programs.library import NoLibraryError, compiled
 from fleet.addons.programs.line_signal import LineSignal
+from fleet.addons.programs.message_signal import MessageSignal, plain_reader
 from fleet.addons.programs.modem_beside import MODEM_NAMES
-from fleet.addons.programs.process_agent import PROCESSORS, ProcessAgent, epoch_ns
+from fleet.addons.programs.process_agent import PROCESSORS, OtherProgram, ProcessAgent, epoch_ns
 from fleet.addons.programs.udp_ways import UdpWays
 from fleet.scenario.schema.nodes import ModemPortSection
+from fleet.scenario.schema.programs import StackSignalSection
+from netem.wire.key_expression import matching
 from world.errors import PluginError
 
 _PARAMETERS = (
     "module", "interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup",
-    "vehicle", "udp", "modem",
+    "vehicle", "udp", "modem", "beside", "ends",
 )  # fmt: skip
 # Of 1.0, where Python ran on stand-ins. Those with a value here need nothing any more.
 _OF_BEFORE = {"process": (True, "yes"), "order": ("ready",), "shared": None}
@@ -48,7 +51,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         PluginError: there is no such parameter, or one has no meaning, or the program cannot run here.
     """
     _check_keys(path, parameters)
-    lines = tuple(_line_signal(path, name, about) for name, about in dict(parameters.get("signals") or {}).items())
+    told = {name: _signal(path, name, about) for name, about in dict(parameters.get("signals") or {}).items()}
     setup = _setup(path, parameters.get("setup"))
     python = "python3" if setup else own_python()
     interpreter = parameters.get("interpreter") or (python if path.suffix == ".py" else "")
@@ -74,15 +77,49 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     variables_of_module = {"PYTHONPATH": str(path.resolve().parents[module.count(".")])} if module else {}
     words = ("-m", module) if module else (str(path),)
 
+    alone = (*setup, *((interpreter if setup else found, *words) if found else words))
+    others = _others(path, parameters.get("beside") or {})
+
     class Program(ProcessAgent):
         plugin_file = path
-        command = (*setup, *((interpreter if setup else found, *words) if found else words))
+        command = alone
+        together = others
+        ends = _ends(parameters.get("ends"))
         variables = variables_of_module
         beside = node
-        reads = lines
-        signals = tuple(Signal(each.name, "1", "as the program printed it last") for each in lines)
+        reads = tuple(each for each in told.values() if isinstance(each, LineSignal))
+        watches = tuple(each for each in told.values() if isinstance(each, MessageSignal))
+        signals = tuple(Signal(name, "1", "as the program told it last") for name in told)
 
     return Program
+
+
+def _others(path: Path, given: Any) -> tuple[OtherProgram, ...]:
+    """The programs that run beside it on its host. Raises PluginError: one cannot run here, or is described wrongly."""
+    if not isinstance(given, Mapping):
+        raise _wrong(
+            path, f"beside: expected programs by name, got {given!r:.80}", "{pilot: {run: [python, pilot.py]}}"
+        )
+    others = []
+    for name, each in given.items():
+        if not isinstance(each, Mapping) or not (words := each.get("run")) or not isinstance(words, list | tuple):
+            raise _wrong(path, f"beside.{name}: expected a command line in `run`", "{run: [python, pilot.py]}")
+        if unknown := sorted(each.keys() - {"run", "env", "ends"}):
+            raise _wrong(path, f"beside.{name}: there is no key {unknown[0]!r}", "known: run, env, ends")
+        first = own_python() if words[0] in ("python", "python3") else shutil.which(str(words[0]))
+        first = first or (str(file.resolve()) if (file := _beside(path, str(words[0]))) else None)
+        if first is None:
+            raise _wrong(path, f"beside.{name}: there is no command {words[0]!r}", "give its path, or install it")
+        if problem := obstacle(Path(first)):
+            raise _wrong(path, f"beside.{name}: {problem}")
+        rest = [str(file.resolve()) if (file := _beside(path, str(word))) else str(word) for word in words[1:]]
+        others.append(OtherProgram(str(name), (first, *rest), dict(each.get("env") or {}), _ends(each.get("ends"))))
+    return tuple(others)
+
+
+def _ends(value: Any) -> str:
+    """Whether a program may end by itself, as `several_programs` has it."""
+    return "any" if value == "any" else "yes" if value in (True, "yes") else "no"
 
 
 def _check_keys(path: Path, parameters: Mapping[str, Any]) -> None:
@@ -165,6 +202,22 @@ def _beside(path: Path, name: str) -> Path | None:
 
 def _wrong(path: Path, problem: str, hint: str = "") -> PluginError:
     return PluginError("agent", f"program:{path.name}", problem, hint)
+
+
+def _signal(path: Path, name: str, about: Any) -> LineSignal | MessageSignal:
+    """A signal that lines tell, or messages, in the words of a file of nodes. Raises PluginError: it is none."""
+    if not isinstance(about, Mapping) or "message" not in about:
+        return _line_signal(path, name, about)
+    try:
+        section = StackSignalSection.model_validate(about)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise _wrong(path, f"signals.{name}: {first['msg'].removeprefix('Value error, ')}") from None
+    if section.ros is not None:
+        raise _wrong(path, f"signals.{name}: messages of ROS 2 are not read in simulated time", "line: what it prints")
+    assert section.message is not None  # the schema has seen it
+    number = plain_reader(*section.formats[0]) if section.formats else None
+    return MessageSignal(name, matching(section.message), number)
 
 
 def _line_signal(path: Path, name: str, about: Any) -> LineSignal:

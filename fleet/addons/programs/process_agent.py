@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import struct
@@ -10,9 +11,10 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from ipaddress import IPv6Address, ip_address
+from itertools import product
 from pathlib import Path
 from random import Random
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
 from agents.packets import BEGIN, EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
@@ -29,6 +31,7 @@ from fleet.addons.programs.known_ports import (
     ZENOH_PORT,
 )
 from fleet.addons.programs.line_signal import LineSignal
+from fleet.addons.programs.message_signal import MessageSignal, NoNumber
 from fleet.addons.programs.modem_beside import ModemBeside, is_for_modem, modem_beside, to_modem
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.shared_sockets import KINDS as SOCKET_KINDS
@@ -36,6 +39,7 @@ from fleet.addons.programs.shared_sockets import SharedSockets
 from fleet.addons.programs.steering import Vehicle, navigation
 from fleet.addons.programs.streams import Streams
 from fleet.addons.programs.udp_ways import UdpWays
+from fleet.addons.programs.zenoh_messages import puts
 from world.plugins.kept_files import kept_folder
 from world.plugins.output import line_writer
 
@@ -49,14 +53,26 @@ _LOOPBACK = V4 + b"\x7f\0\0\x01"
 _HOSTS = 254  # nodes that have a name, unless a neighbour has a larger number
 
 
+class OtherProgram(NamedTuple):
+    """A program that runs beside the agent's, on the same host."""
+
+    name: str
+    command: tuple[str, ...]  # may have the places that arguments have
+    environment: Mapping[str, Any]
+    ends: str  # whether it may end by itself, see `several_programs`
+
+
 class ProcessAgent:
     """One life of a program. When the agent is dropped, the program is killed."""
 
     plugin_file: ClassVar[Path]
     command: ClassVar[tuple[str, ...]]
+    together: ClassVar[tuple[OtherProgram, ...]]
+    ends: ClassVar[str]  # whether it may end by itself while others run
     variables: ClassVar[Mapping[str, str]]  # of its environment, unless the scenario gives others
     beside: ClassVar[tuple[str, ...]]  # a program of ours that gets the agent's number; (): none
     reads: ClassVar[tuple[LineSignal, ...]]
+    watches: ClassVar[tuple[MessageSignal, ...]]
     signals: ClassVar[tuple[Signal, ...]]
 
     def __init__(
@@ -95,6 +111,7 @@ class ProcessAgent:
         self._environment = dict(self.variables) | {
             key: _filled(str(value), words) for key, value in (env or {}).items()
         }
+        self._words = self._all_words(words)
         folder = self.plugin_file.parent
         self._files = [path if path.is_absolute() else folder / path for path in map(Path, files)]
         self._book = _AddressBook(config, addresses or {})
@@ -106,12 +123,25 @@ class ProcessAgent:
         self._life: _Life | None = None
         self._owner = os.getpid()
         self._history: list[tuple[int, list[Delivery], Nav | None]] = []
-        self.values: dict[str, float | None] = {each.name: 0.0 if each.counts else None for each in self.reads}
+        counts = {each.name: each.counts for each in self.reads} | {each.name: each.counts for each in self.watches}
+        self.values: dict[str, float | None] = {name: 0.0 if counted else None for name, counted in counts.items()}
+        self._unread: set[str] = set()  # signals of which a message had no number
         self._said: list[Said] = []
         self._unheard: set[int] = set()  # neighbours whose laws send what no program can hear
         self._write_line = line_writer(f"agent-{config.id}.log")
         self._disk = kept_folder(f"agent-{config.id}")
         self._disk_before = None if self._disk is None else copy_of_disk(self._disk)
+
+    def _all_words(self, places: Mapping[str, Any]) -> list[str]:
+        """The command line of all that runs on the host."""
+        if not self.together:
+            return self._words
+        programs: list[Any] = [[self.plugin_file.name, self._words, {}, self.ends]]
+        for each in self.together:
+            variables = {key: _filled(str(value), places) for key, value in each.environment.items()}
+            programs.append([each.name, [_filled(word, places) for word in each.command], variables, each.ends])
+        files = [word for _, words, _, _ in programs for word in words if word.startswith("/")]
+        return helper_command("fleet.addons.programs.several_programs", json.dumps(programs), *files)
 
     def __del__(self) -> None:
         life = getattr(self, "_life", None)
@@ -146,7 +176,7 @@ class ProcessAgent:
             if is_message and not each.payload.startswith(BEGIN) and each.src not in self._unheard:
                 self._unheard.add(each.src)
                 text = f"no program hears what the law of vehicle {each.src} sends: UdpPort of agents.api makes packets"
-                self._said.append(Said(now_ns, "err", text))
+                self._say(now_ns, "err", text)
 
     def _repeat(self) -> None:
         """Start the program again, with all that came: this process is a copy by fork, and it belongs to the first."""
@@ -165,6 +195,7 @@ class ProcessAgent:
                 self._processors,
                 UdpWays(self._udp),
                 self._modem,
+                watched=bool(self.watches),
             )  # fmt: skip
         life = self._life
         life.place = self._place if nav is None else nav.eta[:3]
@@ -173,11 +204,29 @@ class ProcessAgent:
                 if (value := each.read(text, self.values[each.name])) is not None:
                     self.values[each.name] = value
             if tell:
-                self._said.append(Said(at_ns, stream, text if len(text) <= 1000 else text[:999] + "…"))
-                self._write_line(
-                    f"{at_ns / NS:.3f} {text}" if stream == "out" else f"{at_ns / NS:.3f} {stream}: {text}"
-                )
+                self._say(at_ns, stream, text)
+        if life.messages:
+            self._watch(now_ns, life.messages, tell=tell)
+            life.messages.clear()
         return life
+
+    def _say(self, at_ns: int, stream: str, text: str) -> None:
+        """Put a line into the log of the run, and into the agent's own."""
+        self._said.append(Said(at_ns, stream, text if len(text) <= 1000 else text[:999] + "…"))
+        self._write_line(f"{at_ns / NS:.3f} {text}" if stream == "out" else f"{at_ns / NS:.3f} {stream}: {text}")
+
+    def _watch(self, now_ns: int, messages: Sequence[tuple[str, bytes]], tell: bool) -> None:
+        """Read the numbers in what has left."""
+        for (key, payload), each in product(messages, self.watches):
+            try:
+                value = each.read(key, payload, self.values[each.name])
+            except NoNumber as error:
+                if each.name not in self._unread and tell:  # the next one is wrong at another place
+                    self._unread.add(each.name)
+                    self._say(now_ns, "err", f"signal {each.name}: {key:.80}: {error}")
+                continue
+            if value is not None:
+                self.values[each.name] = value
 
     def take_said(self) -> Sequence[Said]:
         """The lines that the program has printed since the last call, and how it ended."""
@@ -241,9 +290,12 @@ class _Life:
         processors: int,
         ways: UdpWays,
         modem: ModemBeside | None,
+        *,
+        watched: bool,
     ) -> None:
         self._id, self._book, self._ways = config.id, book, ways
         self._beside, self._environment = beside, environment
+        self.messages: list[tuple[str, bytes]] | None = [] if watched else None  # what left, by key; None: not wanted
         self._node: int | None = None  # the family of the program beside it
         self._modem, self._modem_family = modem, -1
         self.place: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -409,6 +461,8 @@ class _Life:
             other, port = way
             self.processes.answer(process, b"U\x01")
             self._ways.sends(other, from_port)
+            if self.messages is not None:
+                self.messages.append((f"udp/{to_port}", data[_ADDRESSES.size :]))
             self._leave(Datagram(other, from_port, port, node_address(other, False), data[_ADDRESSES.size :]))
             return
         agent = self._book.agent(to_ip, to_port)
@@ -430,6 +484,8 @@ class _Life:
         if agent in (self._id, EVERYBODY):
             self._datagram(to_port, data, but=process.pid)
         if agent is not None and agent != self._id:
+            if self.messages is not None and to_port == WATER_PORT and process.family == self._helper:
+                self.messages += puts(data[_ADDRESSES.size :])
             to = to_ip if agent == EVERYBODY else node_address(agent, to_ip[:12] != V4)
             self._leave(Datagram(agent, from_port, to_port, to, data[_ADDRESSES.size :]))
 

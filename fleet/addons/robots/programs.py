@@ -17,8 +17,9 @@ from signal import SIGKILL
 from time import monotonic_ns
 from typing import Any, NamedTuple
 
+from fleet.addons.programs.message_signal import NoNumber
 from fleet.addons.robots import keeper
-from fleet.addons.robots.message_values import NoNumber, reader
+from fleet.addons.robots.message_values import reader
 from fleet.analysis.command_lines import search_path
 from fleet.errors import RunBroken
 from fleet.processes.child_start import for_programs

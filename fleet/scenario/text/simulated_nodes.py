@@ -7,13 +7,22 @@ nothing else has to know of it. (Rejected: a third kind of run, which would judg
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from fleet.quantities import show_time
 from fleet.scenario.schema.nodes import ModemPortSection, udp_target
-from fleet.scenario.schema.programs import ProgramSection, filled, nodes_of, programs_of
+from fleet.scenario.schema.programs import (
+    DONE,
+    RUNNING,
+    ProgramSection,
+    StackSignalSection,
+    filled,
+    nodes_of,
+    programs_of,
+    wanted,
+)
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
 from netem.namespaces import address
@@ -49,16 +58,11 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
     nodes = dict(spec.nodes or {})
     if spec.duration == UNTIL_STOPPED_NS:
         yield ("clock",), "simulated time needs an end", "duration: 60 s"
-    programs: dict[str, list[tuple[str, ProgramSection]]] = {}
-    for program, owner, section in programs_of(spec.programs or {}, list(nodes)):
-        programs.setdefault(owner, []).append((program, section))
+    programs = _by_node(spec, list(nodes))
     for name, node in nodes.items():
-        path, here = ("nodes", name), programs.get(name, [])
-        if not here and node.modem is None:
+        path = ("nodes", name)
+        if not programs[name] and node.modem is None:
             yield path, "has no program, and nobody joins simulated time from outside", "programs: {NAME: {run: ...}}"
-        if len(here) > 1:
-            words = f"has {len(here)} programs ({', '.join(each for each, _ in here)}): one in simulated time so far"
-            yield path, words, "clock: real"
         for key in ("listen", "connect", "zenoh"):
             if getattr(node, key) is not None:
                 yield (*path, key), "is of a real host", "leave it out: programs connect to {listen}"
@@ -67,14 +71,9 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
     for key in ("compose", "discovery", "header", "fragments"):
         if getattr(spec, key) is not None:
             yield (key,), "has no meaning in simulated time so far", "clock: real"
-    asked = [one.topic for one in spec.checks.signal or ()]
     for name, signal in (spec.signals or {}).items():
-        if signal.message is not None and f"control.{name}" in asked:
-            yield (
-                ("signals", name),
-                "a check is about messages, which are not looked into in simulated time so far",
-                ("line: what a program prints"),
-            )
+        if signal.ros is not None:
+            yield ("signals", name), "messages of ROS 2 are not read in simulated time so far", "line: what it prints"
     for name, section in (spec.programs or {}).items():
         words = " ".join([*section.run, *section.env.values()])
         for place in ("zenoh", "dir"):
@@ -96,12 +95,16 @@ def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     tick = show_time(spec.tick) if water else ROUND  # in water all starts are at ticks, on both clocks
     network = {"period": tick} | {k: v for k, v in dumped["network"].items() if k != "period"}
     checks = {key: value for key, value in found.get("checks", {}).items() if key != "punctual"}
-    checks["programs"] = checks.get("programs", "running")
+    asked = spec.checks.programs
     offsets = [f"{x:g} {y:g} {z:g} m" for x, y, z in spec.formation.offsets or ()]
     per_vehicle = {}
-    sections = {node: section for _, node, section in programs_of(spec.programs or {}, names)}
+    programs = _by_node(spec, names)
     for number, name in enumerate(names, start=1):
-        per_vehicle[str(number)] = {"agent": _agent(spec, names, number, sections.get(name, _NOBODY), folder)}
+        per_vehicle[str(number)] = {"agent": _agent(spec, names, number, programs[name] or {name: _NOBODY}, folder)}
+    if any(len(here) > 1 for here in programs.values()):  # else the check says what it is asked in the user's words
+        checks["programs"] = {name: _ends_as(asked, name, programs[name]) for name in names}
+    else:
+        checks["programs"] = checks.get("programs", RUNNING)
     return found | {
         "vehicles": len(names),
         "names": names,
@@ -125,37 +128,54 @@ def command_folders(spec: ScenarioSpec) -> list[Path]:
     return [Path(file).resolve().parent for file in found if file is not None]
 
 
+def _by_node(spec: ScenarioSpec, names: Sequence[str]) -> dict[str, dict[str, ProgramSection]]:
+    """The programs of each node, by name."""
+    found: dict[str, dict[str, ProgramSection]] = {name: {} for name in names}
+    for program, owner, section in programs_of(spec.programs or {}, names):
+        found[owner][program] = section
+    return found
+
+
+def _ends_as(asked: Mapping[str, str] | None, node: str, programs: Mapping[str, ProgramSection]) -> str:
+    """What the check says of all programs of a node together: it has ended when all of them have."""
+    found = {wanted(asked, program, node) for program in programs} or {RUNNING}
+    return found.pop() if len(found) == 1 else RUNNING if RUNNING in found else DONE
+
+
 def _agent(
-    spec: ScenarioSpec, names: Sequence[str], number: int, section: ProgramSection, folder: Path
+    spec: ScenarioSpec, names: Sequence[str], number: int, programs: Mapping[str, ProgramSection], folder: Path
 ) -> dict[str, Any]:
+    first, section = next(iter(programs.items()))
     node = (spec.nodes or {})[names[number - 1]]
     known = {
         "listen": _ROUTER, "modem": str(_modem_place(node.modem)), "address": address(number),
         "node": names[number - 1], "number": number, "seed": spec.seed, "begin_s": _BEGIN_S,
         "duration_s": f"{spec.duration / 1e9:g}", "domain": "0",
     }  # fmt: skip
-    here = folder / (section.folder or "")
-    words = [filled(word, known) for word in section.run]
-    environment = {key: filled(text, known) for key, text in section.env.items()}
-    if not node.udp:
-        environment = {
-            "RMW_IMPLEMENTATION": "rmw_zenoh_cpp",
-            "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{_ROUTER}"]',
-        } | environment
-    agent: dict[str, Any] = _program(words, here, section.folder)
-    if environment:
+    ours = {} if node.udp else {
+        "RMW_IMPLEMENTATION": "rmw_zenoh_cpp", "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{_ROUTER}"]',
+    }  # fmt: skip
+    agent = _program([filled(word, known) for word in section.run], folder, section.folder)
+    if environment := ours | {key: filled(text, known) for key, text in section.env.items()}:
         agent["env"] = environment
+    name = names[number - 1]
+    if len(programs) > 1:
+        agent["ends"] = _ENDS[wanted(spec.checks.programs, first, name)]
+        agent["beside"] = {
+            program.removeprefix(f"{name}/"): {
+                "run": _command([filled(word, known) for word in each.run], folder / (each.folder or "")),
+                "env": {key: filled(text, known) for key, text in each.env.items()},
+                "ends": _ENDS[wanted(spec.checks.programs, program, name)],
+            }
+            for program, each in [*programs.items()][1:]
+        }
     told = {name: each for name, each in (spec.signals or {}).items() if names[number - 1] in nodes_of(each.of, names)}
-    lines = {
-        name: {"line": each.line} | ({"count": True} if each.count else {})
-        for name, each in told.items()
-        if each.line is not None
-    }
+    signals = {name: _signal(each, known) for name, each in told.items()}
     ways = {port: udp_target(text) for port, text in node.udp.items()}
     udp = {port: [names.index(way[0]) + 1, way[2]] for port, way in ways.items() if way is not None}
     if node.modem is not None:
         agent["modem"] = _modem(spec, names, number, node.modem)
-    return agent | ({"signals": lines} if lines else {}) | ({"udp": udp} if udp else {})
+    return agent | ({"signals": signals} if signals else {}) | ({"udp": udp} if udp else {})
 
 
 def _modem_place(modem: ModemPortSection | None) -> int | str:
@@ -175,10 +195,26 @@ def _modem(spec: ScenarioSpec, names: Sequence[str], number: int, modem: ModemPo
     return given | {modem.language: _modem_place(modem), "name": names[number - 1], "addresses": addresses}
 
 
-def _program(words: Sequence[str], here: Path, below: str | None) -> dict[str, Any]:
+def _signal(section: StackSignalSection, known: Mapping[str, object]) -> dict[str, Any]:
+    """A signal of a node as one of its program."""
+    given = section.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
+    more = {} if section.message is None else {"message": filled(section.message, known)}
+    return {key: value for key, value in given.items() if key not in ("of", "unit")} | more
+
+
+_ENDS = {RUNNING: "no", DONE: "yes"}  # of what the check wants of a program
+
+
+def _command(words: Sequence[str], here: Path) -> list[str]:
+    """A command line whose files are those of its folder."""
+    return [str((here / word).resolve()) if (here / word).is_file() else word for word in words]
+
+
+def _program(words: Sequence[str], folder: Path, below: str | None) -> dict[str, Any]:
     """A command line as the keys of a program. A file that it names is the one of its folder."""
+    here = folder / (below or "")
     first, *rest = words
-    named = [str((here / word).resolve()) if (here / word).is_file() else word for word in rest]
+    named = _command(rest, here)
     if first in _PYTHONS and rest[:1] == ["-m"]:
         return {"program": {"module": rest[1]}, "arguments": named[2:]}
     if first in _PYTHONS and rest:

@@ -206,7 +206,6 @@ def test_a_fault_names_nodes_and_zenoh_needs_no_word_of_ours(stack: Any) -> None
 
 STACK = "title: T\nduration: 1 s\nclock: simulated\nnodes: {{a: {a}, b: {{}}}}\nprograms: {programs}\n{more}\n"
 DONE = "checks: {programs: done}"
-MESSAGES = "signals: {s: {message: k, count: yes}}\nchecks: {signal: {topic: s, above: 0}}"
 TRUE = '{"*": {run: "true"}}'
 
 
@@ -216,15 +215,9 @@ TRUE = '{"*": {run: "true"}}'
         ("{listen: tcp/127.0.0.1:7501}", TRUE, "", "nodes.a.listen: is of a real host"),
         ("{isolate: yes}", TRUE, "", "isolate is for the wall clock"),
         ("{}", '{a: {run: "true"}}', "", "nodes.b: has no program, and nobody joins simulated time"),
-        ("{}", '{"*": {run: "true"}, a/two: {run: "true"}}', "", r"nodes.a: has 2 programs \(a, a/two\)"),
         ("{}", TRUE, "compose: x.yaml", "compose: has no meaning in simulated time"),
         ("{}", '{"*": {run: "x {zenoh}"}}', "", r"\{zenoh\} is a file or port of a real host"),
-        (
-            "{}",
-            TRUE,
-            "signals: {s: {message: k, count: yes}}\nchecks: {signal: {topic: s, above: 0}}",
-            "about messages",
-        ),
+        ("{}", TRUE, "signals: {s: {message: k, ros: data}}", "messages of ROS 2 are not read in simulated time"),
     ],
 )
 def test_what_needs_a_real_host_is_refused_in_words(a: str, programs: str, more: str, words: str) -> None:
@@ -247,3 +240,95 @@ def test_ports_of_the_own_host_stand_for_those_of_others() -> None:
     assert ways.arrives(3, 0) is None  # nothing of the own has been sent there yet
     ways.sends(3, 40_000)
     assert ways.arrives(3, 0) == (40_000, 9203)
+
+
+SEVERAL = """
+title: Two programs of a node
+clock: simulated
+nodes: {m1: {}, m2: {}}
+programs:
+  m1/nav: {run: [python, count.py, "3", nav, "0"]}
+  m1/log: {run: [python, count.py, "100", log, "{number}"]}
+  m2: {run: [python, count.py, "100", one, "0"]}
+signals: {counted: {of: m1, line: 'log (?P<value>\\d+)'}}
+duration: 6 s
+"""
+COUNT = """
+import sys, time
+for k in range(int(sys.argv[1])):
+    print(sys.argv[2], k, flush=True)
+    time.sleep(1)
+sys.exit(int(sys.argv[3]))
+"""
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("checks", "line", "found"),
+    [
+        ('programs: {"*": running, m1/nav: done}', "", "all 2"),
+        ("programs: running", "", "m1 at 3.00 s: exit status 1: count.py ended by itself"),
+        ('programs: {"*": running, m1/nav: done}', 'nav, "0"', "m1 at 3.00 s: exit status 1: count.py: exit status 3"),
+        ('programs: {"*": done, m2: running}', "", "m1 did not end"),
+    ],
+)
+def test_several_programs_of_a_node_are_judged_one_by_one(
+    checks: str, line: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They share a host. One that ends as it may lets the others go on; one that does not is a failure that says so."""
+    monkeypatch.chdir(tmp_path)
+    Path("count.py").write_text(COUNT)
+    text = SEVERAL.replace(line, line.replace("0", "3")) if line else SEVERAL
+    Path("stack.yaml").write_text(f"{text}checks: {{{checks}}}\n")
+    first, again = (fleet.run("stack.yaml", out="runs") for _ in range(2))
+    assert verdict(first, "programs") == (found == "all 2", found) and first.digest == again.digest
+    assert first.directory is not None
+    said = (first.directory / "log" / "agent-1.log").read_text()
+    assert "2.000 nav 2\n2.000 log 2\n" in said
+
+
+SAYS = """
+import json, socket, sys, time
+import zenoh
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", json.dumps([sys.argv[1]]))
+session, udp = zenoh.open(config), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+for k in range(8):
+    session.put(f"m/{sys.argv[2]}/depth", json.dumps({"d": [0, k / 2]}))
+    session.put("other", b"no json")
+    udp.sendto(bytes([k, 7]), ("127.0.0.1", 9000))
+    time.sleep(0.5)
+time.sleep(100)
+"""
+MESSAGES = """
+title: Signals of messages
+clock: simulated
+nodes: {m1: {udp: {"9000": "m2:9100"}}, m2: {}}
+programs: {m1: {run: [python, says.py, "tcp/127.0.0.1:7447", "{number}"]}, m2: {run: [sleep, "100"]}}
+signals:
+  depth: {of: m1, message: "m/{number}/depth", json: "d[1]"}
+  wrong: {of: m1, message: other, json: x}
+  sent: {of: m1, message: udp/9000, count: yes}
+  byte: {of: m1, message: udp/9000, struct: "<BB[0]"}
+duration: 6 s
+checks:
+  signal:
+    - {name: deep, topic: depth, below: 3.6}
+    - {name: never, topic: depth, below: 3}
+    - {name: all, topic: sent, equals: 8, within: 0, eventually_within: 5 s}
+    - {name: first, topic: byte, equals: 7, within: 0, eventually_within: 5 s}
+"""
+
+
+@needs_cc
+def test_messages_tell_signals_as_on_the_wall_clock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By zenoh and by UDP. A message without the number is told once."""
+    monkeypatch.chdir(tmp_path)
+    Path("says.py").write_text(SAYS)
+    Path("stack.yaml").write_text(MESSAGES)
+    result = fleet.run("stack.yaml", out="runs")
+    assert [one.check for one in result.checks if one.failed] == ["never"]
+    assert result.directory is not None
+    said = (result.directory / "log" / "agent-1.log").read_text()
+    assert said.count("signal wrong: other: is not json") == 1

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.addons.robots.message_values import NoNumber, number_at, reader
+from fleet.addons.programs.message_signal import NoNumber, number_at
+from fleet.addons.robots.message_values import reader
 from fleet.scenario.schema.programs import StackSignalSection
 
 _PLAIN = st.recursive(

@@ -7,7 +7,7 @@ nothing else has to know of it. (Rejected: a third kind of run, which would judg
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +158,8 @@ def _agent(
     agent = _program([filled(word, known) for word in section.run], folder, section.folder)
     if environment := ours | {key: filled(text, known) for key, text in section.env.items()}:
         agent["env"] = environment
+    if beside := _data_files(folder, [each.folder for each in programs.values()]):
+        agent["files"] = beside
     name = names[number - 1]
     if len(programs) > 1:
         agent["ends"] = _ENDS[wanted(spec.checks.programs, first, name)]
@@ -203,6 +205,26 @@ def _signal(section: StackSignalSection, known: Mapping[str, object]) -> dict[st
 
 
 _ENDS = {RUNNING: "no", DONE: "yes"}  # of what the check wants of a program
+
+
+_MOST_DATA = 20_000_000  # bytes of files that are copied for each program, and how many files
+_MOST_FILES = 64
+
+
+def _data_files(folder: Path, below: Iterable[str | None]) -> list[str]:
+    """Files that programs of a node find where they run on the wall clock; none if they are many, or large.
+
+    They are copied into its home. Python finds modules without that.
+    """
+    folders = dict.fromkeys(folder / (each or "") for each in below)
+    found = [file for each in folders if each.is_dir() for file in sorted(each.iterdir()) if _is_data(file)]
+    if len(found) > _MOST_FILES or sum(file.stat().st_size for file in found) > _MOST_DATA:
+        return []
+    return [str(file.resolve()) for file in found]
+
+
+def _is_data(file: Path) -> bool:
+    return file.is_file() and not file.name.startswith(".") and file.suffix not in (".py", ".mcap")
 
 
 def _command(words: Sequence[str], here: Path) -> list[str]:

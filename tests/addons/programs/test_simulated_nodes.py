@@ -332,3 +332,22 @@ def test_messages_tell_signals_as_on_the_wall_clock(tmp_path: Path, monkeypatch:
     assert result.directory is not None
     said = (result.directory / "log" / "agent-1.log").read_text()
     assert said.count("signal wrong: other: is not json") == 1
+
+
+@needs_cc
+def test_a_program_finds_the_files_of_its_folder_and_what_it_writes_stays_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sub").mkdir()
+    Path("sub/depths.csv").write_text("1,2")
+    Path("reads.py").write_text(
+        "print(open('depths.csv').read(), file=open('out.txt', 'w'))\nprint(open('out.txt').read())"
+    )
+    Path("stack.yaml").write_text(
+        "title: T\nclock: simulated\nduration: 1 s\nnodes: {a: {}, b: {}}\n"
+        'programs: {"*": {run: [python, ../reads.py], in: sub}}\nchecks: {programs: done}\n'
+    )
+    result = fleet.run("stack.yaml", out="runs")
+    assert result.status is Status.PASS and not Path("out.txt").exists() and not Path("sub/out.txt").exists()
+    assert result.directory is not None and "1,2" in (result.directory / "log" / "agent-1.log").read_text()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from msgspec import convert
 
@@ -88,4 +88,13 @@ def account_for(
     result.wall = wall
     result.rejected = runner.closing.rejected
     result.deaths = {str(i): how for i, how in runner.deaths.items()}
-    result.notes = list(runner.notes)
+    result.notes = [*runner.notes, *_silent(scenario, journal)]
+
+
+def _silent(scenario: Scenario, journal: Journal) -> Iterator[str]:
+    """Notes on what were nodes and sent nothing: no loss or delay can have been seen to matter to them."""
+    speak = {src for (src, _), account in journal.ledger.accounts.items() if account.sent}
+    silent = [name for i, name in enumerate(scenario.spec.names or (), start=1) if i not in speak]
+    if silent:
+        some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
+        yield f"nothing came from {some}, and no packet of theirs was delayed or lost"

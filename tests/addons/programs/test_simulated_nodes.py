@@ -350,4 +350,5 @@ def test_a_program_finds_the_files_of_its_folder_and_what_it_writes_stays_its_ow
     )
     result = fleet.run("stack.yaml", out="runs")
     assert result.status is Status.PASS and not Path("out.txt").exists() and not Path("sub/out.txt").exists()
+    assert result.notes == ["nothing came from a, b, and no packet of theirs was delayed or lost"]
     assert result.directory is not None and "1,2" in (result.directory / "log" / "agent-1.log").read_text()

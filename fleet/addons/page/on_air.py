@@ -10,6 +10,7 @@ from typing import Any
 from fleet.logs.transmissions import UNSENT, begin_of, end_of, name_of
 from netem.condition import Link
 from netem.modem import AcousticConfig
+from netem.modem_frame import size_on_air
 from world.vectors import Vec3
 
 MOST = 2000  # transmissions that a page keeps, and packets that count as known
@@ -40,7 +41,7 @@ class OnAir:
         if len(self._known) > MOST:
             del self._known[next(iter(self._known))]
         away = dist(places[src], places[dst]) if src in places and dst in places else 0.0
-        size = getattr(message, "size", 0) or len(message.payload)
+        size = getattr(message, "size", 0) or size_on_air(message.payload)
         airtime = self._acoustic.modem_of(src).airtime_ns(size) / 1e9
         end = end_of(*times, message.fate)
         flight = away / self._acoustic.sound_speed

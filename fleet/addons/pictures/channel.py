@@ -27,6 +27,7 @@ from fleet.logs.transmissions import AT_START, UNSENT, begin_of, end_of, name_of
 from netem.cause import Cause
 from netem.condition import Link
 from netem.modem import AcousticConfig
+from netem.modem_frame import size_on_air
 
 SENDS, OVERHEARD = "transmits", "overhears"
 _COLOURS = {SENDS: "#1F3A5F", OVERHEARD: "#DDDDDD"}
@@ -94,7 +95,7 @@ def _rows(run: Run, link: Link) -> Iterable[tuple[int, float, float, float, str,
     if "size" in packets:
         sizes = packets["size"]
     elif "payload" in packets:
-        sizes = np.array([len(payload) for payload in packets["payload"]])
+        sizes = np.array([size_on_air(payload) for payload in packets["payload"]])
     else:
         raise NothingToDraw("the log is too large to know the sizes of its packets: cut it with `fleet export --from`")
     first = packets["copy"] == 0

@@ -14,6 +14,8 @@ from repository import ROOT
 from tool import invoke
 
 import fleet
+from fleet.addons.pictures.channel import transmissions
+from fleet.addons.pictures.runs import load
 from fleet.errors import ScenarioError
 from fleet.result.file import read_result
 from fleet.result.result import Result, Status
@@ -57,7 +59,12 @@ def test_the_lesson_in_simulated_time_the_same_bytes_in_each_way() -> None:
     assert command.exit_code == 0, command.output
     assert read_result(Path(command.stdout.strip())).digest == first.digest
     assert invoke("verify", command.stdout.strip()).exit_code == 0
-    lost = fleet.run("water.yaml", set={"clock": "simulated"}, fault=["at 2s for 3s mute auv2"], out="runs")
+    assert first.directory is not None
+    drawn = load([first.directory])[0]
+    assert drawn.scenario is not None and drawn.scenario.acoustic is not None
+    longest = drawn.scenario.acoustic.modem.airtime_ns(61) / 1e9  # a block and its number: the envelope weighs nothing
+    assert max(one.airtime for one in transmissions(drawn, drawn.log.links)) == pytest.approx(longest)
+    lost = fleet.run("water.yaml", set={"clock": "simulated"}, fault=["at 1s for 3s mute auv2"], out="runs")
     assert [one.check for one in lost.checks if one.failed] == ["not-too-long"]
 
 

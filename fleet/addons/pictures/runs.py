@@ -76,8 +76,9 @@ class Run:
             return None
 
     def vehicle_label(self, i: int) -> str:
-        """`UUV 1`, or the name of a node."""
-        return self.scenario.vehicle_name(i) if self.scenario is not None and self.of_nodes else f"UUV {i}"
+        """`UUV 1`, or the name of a node, also in simulated time."""
+        named = self.scenario is not None and (self.of_nodes or self.scenario.spec.names)
+        return self.scenario.vehicle_name(i) if named and self.scenario is not None else f"UUV {i}"
 
     def link_label(self, link: Link) -> str:
         """`1→2`, or with the names of nodes."""

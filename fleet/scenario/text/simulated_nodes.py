@@ -28,7 +28,8 @@ from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
 from netem.namespaces import address
 
 SIMULATED = "simulated"
-ROUND = "10 ms"  # programs speak at any time: a message waits for the next round, half of this on average
+ROUND_NS = 10_000_000  # programs speak at any time: a message waits for the next round, half of this on average
+FRAME_NS = 100_000_000  # from one value of a signal in the log to the next, as on the wall clock
 _ROUTER = "{zenoh}"  # the agent fills in where the router of its node is
 _BEGIN_S = "1000"  # CLOCK_MONOTONIC at t = 0
 _PYTHONS = ("python", "python3")
@@ -92,7 +93,8 @@ def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     found = {key: dumped[key] for key in _SHARED if key in dumped}
     names = list(spec.nodes or {})
     water = spec.network.acoustic is not None
-    tick = show_time(spec.tick) if water else ROUND  # in water all starts are at ticks, on both clocks
+    tick_ns = spec.tick if water else ROUND_NS  # in water all starts are at ticks, on both clocks
+    tick = show_time(tick_ns)
     network = {"period": tick} | {k: v for k, v in dumped["network"].items() if k != "period"}
     checks = {key: value for key, value in found.get("checks", {}).items() if key != "punctual"}
     asked = spec.checks.programs
@@ -115,6 +117,7 @@ def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
         "initial": [{"position": each} for each in offsets],
         "network": network,
         "checks": checks,
+        "log": {"every": f"{max(1, FRAME_NS // tick_ns)} ticks"} | found.get("log", {}),
         "per_vehicle": per_vehicle,
     }
 

@@ -150,3 +150,13 @@ def test_a_modem_that_is_none_is_told(modem: Any, words: str) -> None:
     }), "utf-8")  # fmt: skip
     with pytest.raises(ScenarioError, match=re.escape(words)):
         fleet.run("one.yaml")
+
+
+def test_the_example_of_modems_that_talk_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("unetpy")
+    shutil.copytree(ROOT / "docs" / "examples" / "aloha_stack", tmp_path / "aloha")
+    monkeypatch.chdir(tmp_path / "aloha")
+    result = fleet.run("stack.yaml", set={"clock": "simulated", "duration": "20 s", "tick": "50 ms"}, out="runs")
+    assert result.status is Status.PASS and result.notes == []
+    sent = sum(link.sent for link in result.ledger.values())
+    assert 0 < sum(link.delivered for link in result.ledger.values()) < sent

@@ -2,8 +2,8 @@
 
 Runs are deterministic: a scenario that fails once fails each time. Runs of programs on the wall clock are not, so two
 of three have to fail. The steps are: leave out faults and triggers, and
-then vehicles, sides and links of each fault (`ddmin`); shorten the run, leave out the last vehicles, shorten each fault
-and make it milder. They repeat until no step helps any more.
+then vehicles, sides and links of each fault (`ddmin`); shorten the run, shorten each fault and make it milder, and at
+last leave out the last vehicles. They repeat until no step helps any more.
 The candidates of one step run side by side. The smallest candidate that fails is taken, so the result does not depend
 on the number of workers.
 """
@@ -68,7 +68,7 @@ class Shrinker:
         self._check = ""
         refuse(scenario, "a run of a study", stacks=True)
         self._tree, self._links = tree_of(scenario), scenario.graph.links
-        self._of_nodes = bool(scenario.nodes or scenario.spec.names)  # whose programs know how many they are
+        self._are_told = are_told(scenario)
 
     def shrink(self, check: str | None = None, most_runs: int = 10_000) -> Shrunk:
         """Make the scenario smaller until no step helps, or `most_runs` runs were made. `check`: this check must still
@@ -81,9 +81,8 @@ class Shrinker:
         for _ in range(MOST_ROUNDS):
             before = json.dumps(self._tree)
             for step in (
-                *(self._fewer_faults, self._fewer_targets, self._shorter),
-                *([] if self._of_nodes else [self._fewer_vehicles]),
-                *(self._shorter_faults, self._milder),
+                *(self._fewer_faults, self._fewer_targets, self._shorter, self._shorter_faults, self._milder),
+                *([] if self._are_told else [self._fewer_vehicles]),
             ):
                 steps += step()
             if json.dumps(self._tree) == before:
@@ -165,7 +164,13 @@ class Shrinker:
     def _fewer_vehicles(self) -> Iterator[str]:
         self._doing = "fewer vehicles"
         before = self._tree["vehicles"]
-        tree = self._least([_without_vehicles(self._tree, n) for n in range(1, before)])
+        made = [_without_vehicles(self._tree, n) for n in range(1, before)]
+        failing = [tree for tree, failed in zip(made, self._fail(made), strict=True) if failed]
+        if any(self._tree.get(key) for key in ("faults", "triggers")):
+            # A fleet that is too small may fail by itself: nobody is left to agree with. That is another failure.
+            bare = [{**tree, "faults": [], "triggers": []} for tree in failing]
+            failing = [tree for tree, alone in zip(failing, self._fail(bare), strict=True) if not alone]
+        tree = failing[0] if failing else None
         if tree is not None:
             self._tree = tree
             yield f"{tree['vehicles']} of {before} vehicles are needed"
@@ -243,6 +248,26 @@ class Shrinker:
         self._engine.make(tasks, take, lambda: self._tell(self._doing, len(self._rows)))
         none = Row(seed=self._tree["seed"], status=FAILED, reason="the runs are used up")
         return [self._rows.get(key, none) for key in keys]
+
+
+def are_told(scenario: Scenario) -> bool:
+    """Whether programs or laws know how many vehicles there are: programs may, and a law that has the number, or a list
+    of as many, among its parameters. Then a fleet without some of them is another one.
+    """
+    if scenario.nodes or scenario.spec.names:
+        return True
+    laws = [
+        law
+        for its in scenario.controls
+        for law in (its.agent, its.controller, its.guidance_law, its.tracking_law)
+        if law is not None
+    ]
+    told = (value for law in laws for value in law.parameters.values())
+    return any(law.name.startswith("program:") for law in laws) or any(_tells(v, scenario.vehicles) for v in told)
+
+
+def _tells(value: Any, count: int) -> bool:
+    return (type(value) is int and value == count) or (isinstance(value, list) and len(value) == count)
 
 
 def tree_of(scenario: Scenario) -> Tree:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -11,9 +12,10 @@ from hypothesis import strategies as st
 from small_scenario import small
 from study_engine import Here, Rows
 
+from agents.config import Law
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import CheckRow, Row
-from fleet.addons.studies.shrink import Shrinker, ddmin, number_places
+from fleet.addons.studies.shrink import Shrinker, are_told, ddmin, number_places
 from fleet.errors import ScenarioError
 from fleet.execution.whole_run import judged
 from fleet.quantities import vehicle_numbers
@@ -94,6 +96,28 @@ def test_exactly_the_vehicles_that_a_failure_needs_are_left(kind: str, needed: s
     found, left = least(f"{kind}: 1-6", fails)
     assert vehicle_numbers(getattr(left, kind)) == sorted(needed)
     assert found.scenario.vehicles == max(needed)
+
+
+def test_a_fleet_that_is_too_small_to_pass_is_no_smaller_failure() -> None:
+    """It was "no fault is needed, 1 of 4 vehicles": four cannot be counted in a fleet of one."""
+
+    def fails(s: Scenario) -> bool:
+        return s.vehicles < 3 or any(2 in vehicle_numbers(fault.mute) for fault in s.spec.faults)
+
+    found, left = least("mute: 1-6", fails)
+    assert vehicle_numbers(left.mute) == [2] and found.scenario.vehicles == 3
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [({}, False), ({"members": 6}, True), ({"ring": [1, 2, 3, 4, 5, 6]}, True), ({"a": 6.0}, False)],
+)
+def test_a_law_that_knows_how_many_there_are_keeps_all(parameters: dict[str, Any], told: bool) -> None:
+    scenario = small("vehicles=6", "graph={shape: complete}")
+    assert not are_told(scenario)
+    law = Law("mine:Law", parameters)
+    scenario.controls = tuple(replace(control, controller=law) for control in scenario.controls)
+    assert are_told(scenario) == told
 
 
 @pytest.mark.parametrize("needed", [{2}, {1, 3}])

@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # these need the extra `study`, and `fleet about --schemas` d
     from fleet.addons.studies.row import Reached
     from fleet.addons.studies.search import SearchResult
     from fleet.addons.studies.shrink import Shrunk
+    from fleet.addons.studies.small_space import WholeSpace
     from fleet.addons.studies.statistics import Estimate
     from fleet.addons.studies.store import Store
 
@@ -148,6 +149,7 @@ class FirstFailing(Struct):
             "were drawn; null: no partition is drawn."
         ),
     ]
+    space: Annotated[int | None, Meta(description="With --all: how many runs the space has; null: without it.")] = None
 
 
 class RegressedRow(Struct):
@@ -210,6 +212,16 @@ def first_failing(found: SearchResult, shrunk: Shrunk | None, file: Path, kept: 
         found.name, found.first_seed, found.runs, found.without, found.reason, found.seed, found.check or None,
         found.most_failures, least, _sometimes(found.reached), [*kept],
         found.triggered, found.covered,
+    )  # fmt: skip
+
+
+def whole_space(scenario: Scenario, found: WholeSpace, shrunk: Shrunk | None, file: Path) -> FirstFailing:
+    """The document of a search through a whole space."""
+    least = None if shrunk is None or found.scenario is None else less(shrunk, found.scenario, file)
+    seed = None if found.scenario is None else scenario.seed
+    return FirstFailing(
+        scenario.name, scenario.seed, found.runs, found.without, found.reason, seed, found.check or None, None, least,
+        [], [], {}, None, found.size,
     )  # fmt: skip
 
 

@@ -195,8 +195,11 @@ NemesisMode = Literal["swarm", "episodes", "liveness"] | None
 def search(
     scenario: Annotated[str, scenarios],
     *,
-    budget: Annotated[tuple[float, float], BUDGET, Option(
-        "The number of seeds to try, or the time in which new ones begin, e.g. '10 min'.")] = (200, inf),
+    budget: Annotated[tuple[float, float] | None, BUDGET, Option(
+        "The number of seeds to try, or the time in which new ones begin, e.g. '10 min'; by default 200 seeds. With "
+        "--all: the most runs, by default 20000.")] = None,
+    whole: Annotated[str, Option(
+        "In place of seeds: every set of so many faults of some kinds, begins and lengths.", "SPACE", "--all")] = "",
     nemesis: Annotated[bool, Option("Add a nemesis to a scenario without one: a swarm of faults.")] = False,
     episodes: Annotated[bool, Option(
         "Like --nemesis, but a few faults at a time, in the protocol's own unit, and then a quiet time.")] = False,
@@ -227,9 +230,23 @@ def search(
       fleet search election --liveness
       fleet search my.yaml --set seed=201 --check formation_error
       fleet search election --nemesis --budget 1000 --keep failures
+      fleet search election --all 'partition|kill, at 2s..10s/1s, for 1s..6s/1s, up to 1'
     """
     from fleet.addons.studies.errors import StudyError
 
+    if whole and (nemesis or episodes or liveness or keep is not None or junit is not None):
+        raise click.UsageError(
+            "--all makes every fault of a space: no --nemesis, --episodes, --liveness, --keep, --junit"
+        )
+    if whole:
+        from fleet.addons.studies.verbs.whole_space import search_space
+
+        tried, modules = _tried(scenario, changes, None)
+        path, most = place_of(tried, out, force=force), None if budget is None else budget[0]
+        write = partial(write_least, path=path)
+        search_space(tried, modules, whole, check, most, path, how, write, show_least)
+        return
+    budget = budget or (200, inf)
     if keep is not None and (out is not None or force):
         said = "--keep writes a file for each kind of failure"
         raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")

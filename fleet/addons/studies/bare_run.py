@@ -42,8 +42,13 @@ _LEFT_OUT = frozenset({"ledger", "middleware_loss", "tumbled", "deaths", "qp_inf
 
 
 def fits(scenario: Scenario) -> bool:
-    """Whether a bare run can judge a scenario: it has moored vehicles, and only checks of signals or in Python."""
+    """Whether a bare run can judge a scenario: it has moored vehicles, and only checks of signals or in Python.
+
+    How programs end is not seen there; so what were nodes, whose check of programs is stated, are left to the emulator.
+    """
     spec = scenario.spec
+    if spec.names and spec.checks.programs is not None:
+        return False
     others = {key for key, value in spec.checks if value is not None} - {"signal", "python"} - _LEFT_OUT
     plain = spec.expect == "pass" and not (scenario.ideal or scenario.external)
     return bool(spec.moored) and plain and not others and bool(spec.checks.own())

@@ -352,3 +352,14 @@ def test_a_program_finds_the_files_of_its_folder_and_what_it_writes_stays_its_ow
     assert result.status is Status.PASS and not Path("out.txt").exists() and not Path("sub/out.txt").exists()
     assert result.notes == ["nothing came from a, b, and no packet of theirs was delayed or lost"]
     assert result.directory is not None and "1,2" in (result.directory / "log" / "agent-1.log").read_text()
+
+
+@needs_cc
+def test_a_search_judges_programs_as_a_run_does(stack: Any) -> None:
+    """A run without an emulator did not see how programs end, and its repetition did: "not reproduced"."""
+    stack("socket_stack")
+    nemesis = "nemesis={mode: episodes, unit: 1 s}"
+    found = invoke("search", "stack.yaml", "--set", "clock=simulated", "--set", nemesis, "--set", "seed=7",
+                   "--budget", 1, "--workers", 1, "--quiet")  # fmt: skip
+    assert found.exit_code == 1, found.output
+    assert "not reproduced" not in found.stderr and "fault" in found.stdout

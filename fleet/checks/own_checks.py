@@ -123,13 +123,12 @@ class OwnChecks:
         return found
 
     def _named(self, text: str) -> str:
-        """Words about vehicles with the names of nodes, if the scenario has some."""
-        if not self._scenario.nodes:
+        """Words about vehicles with the names of nodes, if the scenario has some, on either clock."""
+        names = self._scenario.nodes or tuple(self._scenario.spec.names or ())
+        if not names:
             return text
-        text = re.sub(
-            r"\bvehicles? (\d+(?:(?:, | and )\d+)*)", lambda found: named(found[1], self._scenario.nodes), text
-        )
-        return re.sub(r"\b\d+->\d+\b", lambda found: named(found[0], self._scenario.nodes), text)
+        text = re.sub(r"\bvehicles? (\d+(?:(?:, | and )\d+)*)", lambda found: named(found[1], names), text)
+        return re.sub(r"\b\d+->\d+\b", lambda found: named(found[0], names), text)
 
     def _judge(self) -> None:
         values, self._pending = self._pending, None

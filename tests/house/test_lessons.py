@@ -97,7 +97,7 @@ class Reader:
         asked = subprocess.run(
             ["fleet", "status", "--json"], cwd=self._folder, env=self._environment, capture_output=True, check=False
         )
-        return asked.returncode == 0
+        return asked.returncode == 0 or b"not ready yet" in asked.stderr  # it waits for an agent from outside
 
     def close(self) -> None:
         for process in reversed(self._left_open):

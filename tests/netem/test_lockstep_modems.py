@@ -161,3 +161,21 @@ def test_who_listens_changes_nothing_for_the_packets(listening: tuple[int, ...])
         return found
 
     assert len(fates(())) > 20 and fates(listening) == fates(())
+
+
+def test_another_network_goes_on_with_the_modems_of_the_first() -> None:
+    """As after a fork: what was switched on stays so, and frames on their way keep their names."""
+
+    def inboxes(change_at: int) -> list[Any]:
+        netem, found = Netem(config()), []
+        for tick in range(120):
+            if tick == change_at:
+                before, netem = netem, Netem(config())
+                netem.take_over(before)
+            sent: dict[int, tuple[bytes, ...]] = dict.fromkeys(PLACES, (SWITCH_ON,) if tick == 0 else ())
+            if tick in (3, 28):
+                sent[1] += (Frame(tick, 1, 0, 7, bytes(12)).packed(),)
+            found.append(netem.exchange(tick, sent, PLACES).inboxes)
+        return found
+
+    assert inboxes(30) == inboxes(-1) and any(inbox for each in inboxes(-1)[40:] for inbox in each.values())

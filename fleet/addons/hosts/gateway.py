@@ -168,6 +168,8 @@ class Gateway:
             Thread(target=self._receive, args=(rule.port, made), daemon=True).start()
             self._tell(f"UDP to {here}:{rule.port} goes to everybody who hears agent {config.id}; "
                        f"what comes for its port {rule.port} goes to {rule.host}:{rule.to}")  # fmt: skip
+            if here != "127.0.0.1":
+                self._tell(f"warning: other machines reach port {rule.port}, which asks for no password")
         if self._zenoh:
             self._endpoint = self._opened(config)
             self._tell(f"real programs of zenoh connect to {self._zenoh}")

@@ -9,6 +9,7 @@ import struct
 import sys
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from ipaddress import IPv6Address, ip_address
 from itertools import product
@@ -60,6 +61,16 @@ class OtherProgram(NamedTuple):
     command: tuple[str, ...]  # may have the places that arguments have
     environment: Mapping[str, Any]
     ends: str  # whether it may end by itself, see `several_programs`
+
+
+@dataclass(slots=True)
+class _Stretch:
+    """Ticks in a row in which the same has come to a program: nothing, or one tick with something."""
+
+    begin_ns: int
+    packets: list[Delivery]
+    nav: Nav | None  # None: its vehicle is moored
+    ticks: int = 1
 
 
 class ProcessAgent:
@@ -122,7 +133,7 @@ class ProcessAgent:
         self._place: tuple[float, ...] = (0.0, 0.0, 0.0)
         self._life: _Life | None = None
         self._owner = os.getpid()
-        self._history: list[tuple[int, list[Delivery], Nav | None]] = []
+        self._history: list[_Stretch] = []
         counts = {each.name: each.counts for each in self.reads} | {each.name: each.counts for each in self.watches}
         self.values: dict[str, float | None] = {name: 0.0 if counted else None for name, counted in counts.items()}
         self._unread: set[str] = set()  # signals of which a message had no number
@@ -165,7 +176,7 @@ class ProcessAgent:
         self._note_laws(now_ns, deliveries)
         if os.getpid() != self._owner:
             self._repeat()
-        self._history.append((now_ns, packets, steers))
+        self._remember(now_ns, packets, steers)
         life = self._step(now_ns, packets, steers, tell=True)
         return life.vehicle.demand(nav) or tau, self.values
 
@@ -181,9 +192,19 @@ class ProcessAgent:
     def _repeat(self) -> None:
         """Start the program again, with all that came: this process is a copy by fork, and it belongs to the first."""
         self._owner, self._life, self._disk = os.getpid(), None, None
-        for now_ns, packets, nav in self._history:
-            life = self._step(now_ns, packets, nav, tell=False)
-            life.leaving(sys.maxsize)
+        for one in self._history:
+            for k in range(one.ticks):
+                life = self._step(one.begin_ns + k * self._tick_ns, one.packets, one.nav, tell=False)
+                life.leaving(sys.maxsize)
+
+    def _remember(self, now_ns: int, packets: list[Delivery], nav: Nav | None) -> None:
+        """Keep what has come, for a repetition; ticks in a row without anything are one entry."""
+        last = self._history[-1] if self._history else None
+        goes_on = last is not None and last.begin_ns + last.ticks * self._tick_ns == now_ns
+        if last is None or packets or nav is not None or last.packets or last.nav is not None or not goes_on:
+            self._history.append(_Stretch(now_ns, packets, nav))
+        else:
+            last.ticks += 1
 
     def _step(self, now_ns: int, packets: list[Delivery], nav: Nav | None, tell: bool) -> _Life:
         if self._life is None:

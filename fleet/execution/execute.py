@@ -17,7 +17,7 @@ from fleet.checks.own_checks import OwnChecks
 from fleet.errors import FleetError, RunBroken, StoppedError
 from fleet.execution.clock import WINDOW_NS, GrantPolicy
 from fleet.execution.directory import RunDirectory
-from fleet.execution.external_agents import refuse
+from fleet.execution.external_agents import has_gateways, refuse
 from fleet.execution.hosting import Hosting, hosting
 from fleet.execution.in_process import InProcess
 from fleet.execution.moments import Prefix, reach
@@ -235,4 +235,6 @@ def _policy(scenario: Scenario, options: Options) -> GrantPolicy:
     if options.clock is Clock.REAL:
         return GrantPolicy.of(scenario, options.speed or 1.0, lead_ns=WINDOW_NS)
     begin = 0 if options.start is None else options.start.tick
-    return GrantPolicy.of(scenario, options.speed, begin=begin)
+    # A real computer cannot go faster. The wall clock only holds the run back: its log is the same.
+    speed = options.speed or (1.0 if has_gateways(scenario) else None)
+    return GrantPolicy.of(scenario, speed, begin=begin)

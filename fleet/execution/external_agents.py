@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from agents.join_file import JoinFile
 from fleet.errors import FleetError, RunBroken
 from fleet.execution.directory import RunDirectory
+from fleet.execution.gateways import Gateways
 from fleet.execution.rendezvous import JoinFolder
 from fleet.scenario.scenario import Scenario
 from netem.wire.credentials import Credentials, agent_role
@@ -40,11 +41,24 @@ def refuse(scenario: Scenario, what: str, *, stacks: bool = False) -> None:
         instead = "" if scenario.spec.programs is None else "; fleet sweep --seeds N counts how often a check fails"
         problem = f"{scenario.name} has nodes, whose programs are not ours: fleet netem runs it, but not {what}"
         raise FleetError(problem + instead)
+    if stacks and has_gateways(scenario):
+        return
     if scenario.external:
         raise FleetError(
             f"{named(scenario.external)}: {what} cannot have agents that are started elsewhere; "
             "set external: false there to run ours"
         )
+
+
+def on_wall_clock(scenario: Scenario) -> bool:
+    """Whether programs outside of simulated time take part, which the run starts: no two runs of it are the same."""
+    return bool(scenario.nodes) or has_gateways(scenario)
+
+
+def has_gateways(scenario: Scenario) -> bool:
+    """Whether some agents are real computers, and the run starts all that join it."""
+    external = [its for its in scenario.controls if its.external]
+    return bool(external) and all(its.gateway is not None for its in external)
 
 
 def named(vehicles: Sequence[int]) -> str:
@@ -64,6 +78,7 @@ class ExternalAgents:
         self._folders: Mapping[int, JoinFolder] = {}
         self._awaited: dict[int, JoinFile] = {}
         self._present: set[int] = set()  # vehicles whose agent holds its token
+        self._gateways = Gateways(scenario, directory, print_line)  # agents that the run starts after all
 
     @property
     def awaited(self) -> list[int]:
@@ -93,6 +108,9 @@ class ExternalAgents:
         except OSError as error:
             raise FleetError(f"cannot write {error.filename or path}: {error.strerror}") from error
         self._awaited[i] = joining
+        if i in self._gateways:
+            self._gateways.start(i, path)
+            return
         from_tick = f", from tick {begin} on" if begin else ""
         alone = f"; with its certificate alone: {shlex.quote(str(folder))}" if i in self._folders else ""
         self._print_line(
@@ -130,11 +148,14 @@ class ExternalAgents:
         """Whom the run waits for, in words. Raises RunBroken: they did not join within `most_s`."""
         names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
         names += f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
+        if failed := self._gateways.failed():
+            raise RunBroken(failed)
         if waited_s > most_s:
             raise RunBroken(f"{names} did not join within {most_s:g} s; --join-timeout gives more time")
         return f"waiting for {names} to join, {waited_s:.0f} s"
 
     def close(self) -> None:
+        self._gateways.close()
         for i in self._files:
             self._directory.join(i).unlink(missing_ok=True)
             shutil.rmtree(self._directory.join_folder(i), ignore_errors=True)

@@ -7,10 +7,14 @@ slow program costs nobody a tick. The log has what they sent, and `fleet verify`
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
+import subprocess
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from queue import Empty, SimpleQueue
 from threading import Thread
 from time import monotonic_ns
@@ -23,6 +27,7 @@ from agents.sample import Decision
 from agents.udp_port import MOST_DATA, UdpPort
 from fleet.addons.programs.known_ports import WATER_PORT
 from fleet.errors import FleetError
+from fleet.processes.child_start import die_with_parent, for_programs
 from netem.clock import Clock
 from netem.modem_frame import MARK
 from netem.wire.messages import Delivery, Nav
@@ -36,6 +41,7 @@ if TYPE_CHECKING:
 MOST_WAITING = (
     1 << 20
 )  # bytes of real programs that wait for a round; what comes then is lost, as in a full network card
+STOP_S = 5.0  # until a program that was asked to end is killed
 _MODEM = 0  # in place of a port
 _TOKENS_NS = 500_000_000  # how often tokens of zenoh are told
 
@@ -113,6 +119,7 @@ class Gateway:
         carry: Sequence[str],
         tell: Callable[[str], None],
         modem: ModemPortSection | None = None,
+        run: Sequence[str] = (),
     ) -> None:
         """Prepare it.
 
@@ -122,9 +129,11 @@ class Gateway:
             carry: key expressions of what leaves through it.
             tell: called with a line for the user.
             modem: an acoustic modem that real programs open; None: there is none.
+            run: the command line of a program that lasts as long as the gateway; (): it is started by others.
         """
         self._rules, self._zenoh, self._carry, self._tell = tuple(udp), zenoh, tuple(carry), tell
-        self._modem_section = modem
+        self._modem_section, self._run = modem, [*run]
+        self._program: subprocess.Popen[bytes] | None = None
         self._core: ModemCore | None = None
         self._modem: AgentModem | None = None
         self._sent: SimpleQueue[_Sent] = SimpleQueue()
@@ -175,7 +184,21 @@ class Gateway:
             self._tell(f"real programs of zenoh connect to {self._zenoh}")
         if self._modem_section is not None:
             self._open_modem(self._modem_section)
+        if self._run:
+            self._start()
         return self
+
+    def _start(self) -> None:
+        # As its own group, so that what it starts ends with it; and with us, if somebody kills us.
+        dies = partial(die_with_parent, os.getpid())
+        try:
+            self._program = subprocess.Popen(
+                self._run, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=dies,
+                env=for_programs(os.environ),
+            )  # fmt: skip
+        except OSError as error:
+            self.close()
+            raise FleetError(f"--run {self._run[0]}: {error.strerror}") from None
 
     def _open_modem(self, section: ModemPortSection) -> None:
         from fleet.addons.modems.languages import modem_core
@@ -289,3 +312,9 @@ class Gateway:
             self._endpoint.close()
         if self._core is not None:
             self._core.close()
+        if self._program is not None:
+            for number in (signal.SIGTERM, signal.SIGKILL):
+                with suppress(ProcessLookupError):
+                    os.killpg(self._program.pid, number)
+                with suppress(subprocess.TimeoutExpired):
+                    self._program.wait(STOP_S)

@@ -29,7 +29,7 @@ from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import run_key
 from fleet.addons.studies.row import VOTES, Row, voted
 from fleet.addons.studies.shrink import Shrinker
-from fleet.execution.external_agents import refuse
+from fleet.execution.external_agents import on_wall_clock, refuse
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.files import DamagedFile, read_json
@@ -95,18 +95,19 @@ class FailureFolder:
         """Write a scenario and what is expected of it, in place of what was there of this name. Raises StudyError: it
         cannot be written."""
         path = self.path / failure.file
-        if scenario.nodes:  # whose log never comes out the same again
+        if on_wall_clock(scenario):  # whose log never comes out the same again
             failure.digest = ""
-        failure.paste = self.paste(failure)
+        failure.paste = self.paste(failure, of_nodes=bool(scenario.nodes))
         self._write(path, scenario.to_yaml().encode())
         self.update([*(one for one in self.failures() if one.file != failure.file), failure])
         return failure
 
-    def paste(self, failure: FoundFailure) -> str:
-        """The line that runs a failure, with what comes of it."""
+    def paste(self, failure: FoundFailure, *, of_nodes: bool = True) -> str:
+        """The line that runs a failure, with what comes of it. `of_nodes`: of the wall clock, it is a file of nodes."""
         verdict = f"fails {failure.check}" if failure.expected == "fail" else "passes"
         if not failure.digest:  # of programs on the wall clock
-            return f"fleet netem {self.path / failure.file} --seed {failure.seed}  # {verdict}"
+            verb = "netem" if of_nodes else "run"
+            return f"fleet {verb} {self.path / failure.file} --seed {failure.seed}  # {verdict}"
         return f"fleet run {self.path / failure.file} --seed {failure.seed}  # {verdict}, sha256 {failure.digest[:16]}"
 
     def load(self, failure: FoundFailure, *, imports: bool = True) -> Scenario:

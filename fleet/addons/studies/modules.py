@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from agents.controllers import BUILT_IN, laws
 from fleet.addons.studies.errors import StudyError
+from fleet.execution.external_agents import has_gateways
 from fleet.processes.run_folder import close_at_end
 from fleet.scenario.programs import admit_programs
 from fleet.scenario.scenario import Scenario
@@ -37,7 +38,8 @@ class Modules(NamedTuple):
     files: tuple[str, ...] = ()
     fingerprints: tuple[str, ...] = ()  # SHA-256 of each file, which workers check before they import a module
     names: tuple[str, ...] = ()  # of the modules of laws, plants and checks
-    programs: bool = False  # whether the runs are those of a stack, whose programs are started with each
+    programs: bool = False  # whether programs on the wall clock take part, which are started with each run
+    verb: str = "netem"  # the command that makes such a run
     units: tuple[str, ...] = ()  # files of plants that are FMUs, as the scenarios name them
     carried: tuple[tuple[str, bytes], ...] = ()  # path and content of each file, for other machines
 
@@ -51,6 +53,11 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
     scenarios = list(scenarios)
     if any(scenario.nodes for scenario in scenarios):
         return _of_stacks(scenarios, folder)
+    found = _of_laws(scenarios, folder)
+    return found._replace(programs=True, verb="run") if any(map(has_gateways, scenarios)) else found
+
+
+def _of_laws(scenarios: list[Scenario], folder: Path | None) -> Modules:
     names = {
         law.name.partition(":")[0]
         for scenario in scenarios

@@ -124,6 +124,7 @@ def _run(asked: _Asked, seeds: list[int], directory: Path) -> list[Result]:
 def _once(asked: _Asked, seed: int) -> tuple[Result, str]:
     """Make one run. Returns its result, and where its log is if there is one already."""
     from fleet.addons.studies.stack_runs import run_stack
+    from fleet.execution.external_agents import on_wall_clock
     from fleet.execution.whole_run import run
     from fleet.scenario.programs import admit_programs
     from world.plugins.trust import trusting
@@ -131,7 +132,7 @@ def _once(asked: _Asked, seed: int) -> tuple[Result, str]:
     scenario = asked.load(seed)
     with trusting(asked.trust):
         admit_programs(scenario.spec, scenario.reading.policy)
-    if not scenario.nodes:
+    if not on_wall_clock(scenario):
         return run(scenario, trust=asked.trust), ""
     result = run_stack(scenario, Path("runs"))
     return result, f"its log: {result.directory} (fleet view {result.directory})"

@@ -99,8 +99,10 @@ class StackRuns:
         if self._one:
             return
         with suppress(FleetError):  # the run says it
-            nodes = (scenario_of(task).spec.nodes or {}).items()
+            scenario = scenario_of(task)
+            nodes = (scenario.spec.nodes or {}).items()
             named = [name for name, node in nodes if _names_a_port(node)]
+            named += [f"vehicle {i}" for i, its in enumerate(scenario.controls, 1) if its.gateway is not None]
             self._one = bool(named)
             if named and self._given != 1:
                 self._tell(f"{', '.join(named)}: the file names their ports, so there is one run at a time")
@@ -146,7 +148,7 @@ class _Run:
         file.write_text(task.text, "utf-8")
         self._said: IO[bytes] = (self._folder.path / "said").open("w+b")
         self._process = subprocess.Popen(
-            _command(file, task.seed, self._folder.path / "runs"),
+            _command(task.modules.verb, file, task.seed, self._folder.path / "runs"),
             stdin=subprocess.DEVNULL,
             stdout=self._said,
             stderr=self._said,
@@ -236,7 +238,7 @@ class _Run:
     def _last_words(self) -> str:
         lines = self._lines()
         code = self._process.returncode
-        return f"fleet netem ended with status {code}: {' | '.join(lines[-3:])[:500]}"
+        return f"fleet {self.task.modules.verb} ended with status {code}: {' | '.join(lines[-3:])[:500]}"
 
 
 def told_of(directory: Path) -> list[str]:
@@ -293,7 +295,7 @@ def _made(scenario: Scenario, out: Path) -> Result:
         file = own / f"{scenario.name}.yaml"
         file.write_text(scenario.to_yaml(), "utf-8")
         folder = folder_of_checks([scenario], scenario.reading.folder)
-        words = _command(file, scenario.seed, out.resolve())
+        words = _command("netem" if scenario.nodes else "run", file, scenario.seed, out.resolve())
         done = subprocess.run(words, capture_output=True, text=True, errors="replace", cwd=folder, check=False)
     directory = Path(done.stdout.strip() or "none")
     if not (directory / RESULT).exists():
@@ -303,6 +305,6 @@ def _made(scenario: Scenario, out: Path) -> Result:
     return result
 
 
-def _command(file: Path, seed: int, out: Path) -> list[str]:
-    words = [sys.executable, "-m", "fleet", "netem", file, "--seed", seed, "--out", out, "--trust", "--quiet"]
+def _command(verb: str, file: Path, seed: int, out: Path) -> list[str]:
+    words = [sys.executable, "-m", "fleet", verb, file, "--seed", seed, "--out", out, "--trust", "--quiet"]
     return [*map(str, words)]

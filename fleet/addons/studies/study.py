@@ -26,6 +26,7 @@ from fleet.addons.studies.study_file import NamedStudy, study_named
 from fleet.addons.studies.summary import PointSummary, summarise
 from fleet.addons.studies.sweep import Progress, prepare, run_study
 from fleet.execution.execute import execute
+from fleet.execution.external_agents import on_wall_clock
 from fleet.execution.options import Options
 from fleet.notebook import Pictures, html_table
 from fleet.result.result import Result
@@ -222,7 +223,7 @@ class Study:
         changes = [f"seed={seed}"]
         with trusting(trust):
             scenario = parse_scenario(row.scenario, record.scenario, changes, self._store.folder, Policy(A_STUDY))
-            if scenario.nodes:
+            if on_wall_clock(scenario):
                 admit_programs(scenario.spec, scenario.reading.policy)
                 return run_stack(scenario, out)
         return execute(scenario, Options(out, in_process=True, quiet=True))

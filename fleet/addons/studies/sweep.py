@@ -37,7 +37,7 @@ from fleet.addons.studies.study_file import placed
 from fleet.addons.studies.summary import DEFAULT, WITHOUT_PLACES
 from fleet.analysis.preflight import check_warnings
 from fleet.errors import Problem, ScenarioError
-from fleet.execution.external_agents import refuse
+from fleet.execution.external_agents import on_wall_clock, refuse
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
@@ -110,7 +110,7 @@ def prepare(
         folder=None if folder is None else str(folder),
         spec=None if spec is None else placed(spec),
         border=border,
-        programs=bool(first.nodes),
+        programs=on_wall_clock(first),
     )
     texts: dict[str, Point] = {}
     for point, scenario in zip(plan.points, scenarios, strict=True):

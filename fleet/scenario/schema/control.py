@@ -12,6 +12,7 @@ from pydantic import PlainSerializer, model_validator
 from agents.config import Angles, Astern, Cost, Extrapolation, Method, Solver
 from fleet.scenario import value_types as v
 from fleet.scenario.schema.clock import ClockSection
+from fleet.scenario.schema.gateway import GatewaySection
 from fleet.scenario.schema.navigation import NavigationChoice
 from fleet.scenario.schema.vehicle import ModelErrorSection, VehicleSection
 from fleet.scenario.value_types import Section, mistake, word_for
@@ -169,6 +170,7 @@ class VehicleOverrides(Section):
     model_error: ModelErrorSection | None = None
     navigation: NavigationChoice | None = None
     external: bool | None = None  # the run does not start its agent
+    gateway: GatewaySection | None = None  # its agent is a real computer, for which the run starts `fleet agent`
     knows_reference: bool | None = None
 
     @property

@@ -29,6 +29,7 @@ from fleet.scenario.schema.control import (
     VehicleOverrides,
 )
 from fleet.scenario.schema.faults import FaultEntry, SeaSection, TriggerSection
+from fleet.scenario.schema.gateway import GatewaySection
 from fleet.scenario.schema.groups import Group
 from fleet.scenario.schema.keep_apart import KeepApartSection
 from fleet.scenario.schema.motion import (
@@ -146,6 +147,7 @@ class ScenarioSpec(Section):
     agents: AgentsSection = AgentsSection.model_construct()
     moored: bool | None = None  # true: vehicles stay where they begin, and agents need not steer
     external: bool | None = None  # true: the run starts no agent
+    gateway: GatewaySection | None = None  # all agents are real computers
     knows_reference: bool | None = None  # false: only the vehicles in graph.reference and graph.standby know it
     agent: AgentChoice | None = None  # in place of controller, guidance and tracking, which it may use; its clock
     controller: LawChoice = LawSection.model_construct(law="nboc")

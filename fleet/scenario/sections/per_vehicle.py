@@ -18,6 +18,7 @@ from fleet.scenario.schema.control import (
     TrackingSection,
     VehicleOverrides,
 )
+from fleet.scenario.schema.gateway import GatewaySection
 from fleet.scenario.schema.navigation import NavigationSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import ModelErrorSection, PlantSection, VehicleSection
@@ -58,7 +59,8 @@ class Control:
     model: VehicleParams  # what the controller believes
     tau_max: Vec3  # N, N m, N m
     tumble_limit: float  # |pitch| beyond which it tumbles [rad]
-    external: bool  # the run does not start its agent
+    external: bool  # its agent joins the run from outside
+    gateway: GatewaySection | None  # what stands for a real computer, and joins; None: somebody else starts the agent
     knows_reference: bool  # also if it does not follow it
     keep_apart: KeepApartParams | None  # one filter holds for all vehicles
     navigation: Navigation | None  # None: it knows where it is
@@ -163,7 +165,8 @@ def control(
         model=wrong_model(params, choice.model_error),
         tau_max=tau_max,
         tumble_limit=choice.vehicle.tumble_pitch or LIMIT_RAD,
-        external=bool(choice.external),
+        external=bool(choice.external) or choice.gateway is not None,
+        gateway=choice.gateway,
         knows_reference=choice.knows_reference is not False,
         keep_apart=keep_apart,
         navigation=navigation,

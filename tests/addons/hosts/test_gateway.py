@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import shutil
 import socket
+import sys
 from pathlib import Path
 from textwrap import dedent
 from time import monotonic_ns
 from types import SimpleNamespace
 from typing import Any
 
+import psutil
 import pytest
 from free_ports import free_port
 from live import Command, LiveRun
+from pydantic import ValidationError
 from tool import invoke
 from waiting import wait_for
 
+import fleet
 from agents.api import UdpPort
 from agents.plugged_agent import MAX_PAYLOAD_BYTES
 from fleet.addons.hosts.gateway import MOST_WAITING, Gateway, UdpRule, modem_section
 from fleet.errors import FleetError
+from fleet.execution.gateways import agent_options
+from fleet.scenario.schema.gateway import GatewaySection
 from netem.clock import Clock
 from netem.wire.messages import Delivery
 
@@ -217,3 +223,77 @@ def test_a_real_driver_has_the_modem_of_a_vehicle_in_the_one_water(
     assert "heard a range request" in (run.directory / "log" / "agent-1.log").read_text()
     checked = invoke("verify", run.directory, "--trust")
     assert checked.exit_code == 0 and "vehicle 2 is external" in checked.output, checked.output
+
+
+ANSWERS = """
+import socket, sys
+ours = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+ours.bind(("127.0.0.1", int(sys.argv[1])))
+print("the real one begins", flush=True)
+while True:
+    data, sender = ours.recvfrom(99)
+    ours.sendto(b"pong", sender)
+"""
+GATEWAY = """
+title: A simulated program and a real one
+vehicles: 2
+moored: true
+tick: 20 ms
+duration: 1500 ms
+graph: {{shape: complete}}
+network: {{period: 20 ms, links: {{"*": delay 40ms}}}}
+agent: {{program: calls.py, arguments: ["{port}"], signals: {{answers: {{line: "real pong", count: true}}}}}}
+per_vehicle:
+  2: {{gateway: {{udp: {{"{port}": "127.0.0.1:{theirs}"}}, run: [{python}, {program}, "{theirs}"]}}}}
+checks: {{signal: {{topic: control.answers, vehicles: 1, above: 1, eventually_within: 1400 ms}}}}
+"""
+
+
+@pytest.mark.once
+@pytest.mark.skipif(shutil.which("cc") is None, reason="the library for programs is compiled by cc")
+def test_a_run_starts_what_stands_for_a_real_computer_and_so_does_a_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("calls.py").write_text(SIMULATED)
+    Path("answers.py").write_text(ANSWERS)
+    fields = {"port": free_port(), "theirs": free_port(), "python": sys.executable, "program": "answers.py"}
+    Path("mix.yaml").write_text(GATEWAY.format(**fields))
+    done = invoke("run", "mix.yaml", "--trust")
+    assert done.exit_code == 0, done.output
+    run = Path(done.stdout.strip().splitlines()[-1])
+    said = (run / "log" / "gateway-2.log").read_text()
+    assert "the real one begins" in said and "the run is over" in said and done.output.count("is a real computer") == 1
+    assert invoke("verify", run, "--trust").exit_code == 0
+    study = invoke("sweep", "mix.yaml", "--vary", "network.links.*.loss=0 %,100 %", "--seeds", 1, "--trust", "--quiet")
+    assert study.exit_code == 0, study.output
+    points = fleet.open_study(study.stdout.strip().splitlines()[-1]).summary()
+    passed = [point.passed.value for point in points]
+    assert passed == [1, 0]
+    Path("mix.yaml").write_text(GATEWAY.format(**fields | {"python": "nowhere"}))
+    broken = invoke("run", "mix.yaml", "--trust")
+    assert broken.exit_code == 3, broken.output
+    assert "the gateway of vehicle 2 ended with status" in broken.output
+    assert "--run nowhere: No such file or directory" in broken.output
+    assert not [p for p in psutil.process_iter(["cmdline"]) if str(fields["theirs"]) in (p.info["cmdline"] or [])]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "expected zenoh, udp or modem"),
+        ({"carry": ["a"], "udp": {"9000": "h:1"}}, "carry has no effect without zenoh"),
+        ({"udp": {"9000": "h"}}, "expected a port and where its program is"),
+    ],
+)
+def test_a_gateway_that_is_none_is_told(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        GatewaySection.model_validate(given)
+
+
+def test_a_gateway_is_what_fleet_agent_is_told() -> None:
+    given = {"zenoh": "tcp/0.0.0.0:7501", "carry": ["a/**"], "udp": {"9000": "h:1"}, "modem": {"unet": 1101},
+             "run": ["ssh", "auv", "go now"]}  # fmt: skip
+    assert agent_options(GatewaySection.model_validate(given)) == [
+        "--zenoh=tcp/0.0.0.0:7501", "--carry=a/**", "--udp=9000=h:1", "--modem=unet=1101", "--run=ssh auv 'go now'",
+    ]  # fmt: skip

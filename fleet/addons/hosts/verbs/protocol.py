@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -130,6 +131,9 @@ def agent(
     modem: Annotated[str, Option(
         "A real program is the agent, and opens an acoustic modem here: unet=1101, evologics=9200, micromodem=7000 or "
         "micromodem=PATH.", "LANGUAGE=PORT")] = "",
+    start: Annotated[str, Option(
+        "With --zenoh, --udp or --modem: start this program when it can connect, and end it with the run.", "COMMAND",
+        "--run")] = "",
     trust: Trust = False,
     quiet: Annotated[bool, Option("Print only errors.", flag="-q --quiet")] = False,
 ) -> None:  # fmt: skip
@@ -150,6 +154,7 @@ def agent(
 
     from agents.join import serve
     from agents.join_file import JoinError, JoinFile
+    from fleet.processes.child_start import die_with_study
     from netem.wire.messages import RUN_OVER, End
     from netem.wire.session import quiet_zenoh
 
@@ -157,10 +162,18 @@ def agent(
         raise click.UsageError("--ros2 and --udp, --zenoh or --modem: one of them is the agent")
     if carry and not zenoh:
         raise click.UsageError("--carry has no effect without --zenoh")
+    if start and not (udp or zenoh or modem):
+        raise click.UsageError("--run has no effect without --zenoh, --udp or --modem")
+    die_with_study()
     line = StatusLine(quiet=quiet)
     tell = line.print
     joined = False
-    gateway = _gateway(udp, zenoh, carry, modem, tell) if udp or zenoh or modem else None
+    gateway = _gateway(udp, zenoh, carry, modem, start, tell) if udp or zenoh or modem else None
+
+    def leave(status: int) -> NoReturn:
+        if gateway is not None:
+            gateway.close()
+        _leave(status)
 
     def begun(text: str) -> None:
         nonlocal joined
@@ -179,17 +192,17 @@ def agent(
             vehicle, end = join() if wait is None else patiently(join, wait / 1e9, path, line)
     except JoinError as error:
         report(error)
-        _leave(3 if joined else 2)
+        leave(3 if joined else 2)
     except KeyboardInterrupt as error:
         tell("left the run" if joined else f"not waiting for {path} any longer" if wait else "no run was joined")
-        _leave(ending_status(error))
+        leave(ending_status(error))
     except FleetError as error:
-        _leave(report(error))
+        leave(report(error))
     except SystemExit:
-        _leave(3)  # the law failed, and what it raised has been printed
+        leave(3)  # the law failed, and what it raised has been printed
     except Exception as error:
         click.echo(f"fleet: the law failed: {type(error).__name__}: {error}", err=True)
-        _leave(3)
+        leave(3)
     if gateway is not None:
         out, into, lost, late = gateway.counts
         without = f"; {late} waited longer than a round" if late else ""
@@ -198,15 +211,21 @@ def agent(
         if gateway.pace > _TOO_FAST:
             tell(f"the run was {gateway.pace:.2g} times faster than the wall clock of the real programs: --speed 1")
     tell(f"agent {vehicle}: {end.reason}")
-    _leave(0 if end.reason == RUN_OVER else 3)
+    leave(0 if end.reason == RUN_OVER else 3)
 
 
-def _gateway(udp: Sequence[str], zenoh: str, carry: Sequence[str], modem: str, tell: Callable[[str], None]) -> Gateway:
+def _gateway(
+    udp: Sequence[str], zenoh: str, carry: Sequence[str], modem: str, start: str, tell: Callable[[str], None]
+) -> Gateway:
     """What stands for real programs. Raises FleetError: a rule is none."""
     from fleet.addons.hosts.gateway import Gateway, UdpRule, modem_section
 
     section = modem_section(modem) if modem else None
-    return Gateway([UdpRule.of(text) for text in udp], zenoh, carry or ("**",), tell, section)
+    try:
+        words = shlex.split(start)
+    except ValueError as error:
+        raise FleetError(f"--run: {start!r:.80} cannot be taken apart into words: {error}") from None
+    return Gateway([UdpRule.of(text) for text in udp], zenoh, carry or ("**",), tell, section, words)
 
 
 @cache

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from fleet.scenario.text.overrides import Override
 
 MOST_RUNS = 2000
+SEEDS_TO_TRY = 200.0, inf  # by default, and however long that takes
 MOST_FAULTS = 4  # that a line names
 SEEDS = "seeds"  # what a search makes first
 
@@ -195,9 +196,9 @@ NemesisMode = Literal["swarm", "episodes", "liveness"] | None
 def search(
     scenario: Annotated[str, scenarios],
     *,
-    budget: Annotated[tuple[float, float] | None, BUDGET, Option(
-        "The number of seeds to try, or the time in which new ones begin, e.g. '10 min'; by default 200 seeds. With "
-        "--all: the most runs, by default 20000.")] = None,
+    budget: Annotated[tuple[float, float], BUDGET, Option(
+        "The number of seeds to try, or the time in which new ones begin, e.g. '10 min'. With --all the most runs; by "
+        "default then 20000.")] = SEEDS_TO_TRY,
     whole: Annotated[str, Option(
         "In place of seeds: every set of so many faults of some kinds, begins and lengths.", "SPACE", "--all")] = "",
     nemesis: Annotated[bool, Option("Add a nemesis to a scenario without one: a swarm of faults.")] = False,
@@ -242,11 +243,10 @@ def search(
         from fleet.addons.studies.verbs.whole_space import search_space
 
         tried, modules = _tried(scenario, changes, None)
-        path, most = place_of(tried, out, force=force), None if budget is None else budget[0]
+        path, most = place_of(tried, out, force=force), None if budget == SEEDS_TO_TRY else budget[0]
         write = partial(write_least, path=path)
         search_space(tried, modules, whole, check, most, path, how, write, show_least)
         return
-    budget = budget or (200, inf)
     if keep is not None and (out is not None or force):
         said = "--keep writes a file for each kind of failure"
         raise click.UsageError(f"{said}, so it cannot be used together with --out or --force")

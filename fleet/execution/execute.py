@@ -39,6 +39,7 @@ from fleet.replay.publisher import LivePublisher
 from fleet.result.file import write_result
 from fleet.result.result import Published, Result, Status, Wall
 from fleet.result.timing import Punctual
+from fleet.scenario.programs import admit_programs
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.sections.triggers import moments
 from fleet.terminal.progress import showing
@@ -75,7 +76,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
         RunBroken: the port is taken.
         LogError: the log cannot be created.
         CheckError: a check in Python cannot be made.
-        FleetError: the run directory cannot be made, the journal cannot be published, an agent is external in a run
+        FleetError: the run directory cannot be made, nobody allowed a gateway to be started, the journal cannot be
+            published, an agent is external in a run
             in one process, or the run that this one goes on from does not come out as its log has it.
     """
     if scenario.spec.triggers:
@@ -85,6 +87,8 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             if name in names:
                 text = f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name}), {names[name]}"
                 (terminal or Terminal(stderr=True)).print(text, markup=False, highlight=False, soft_wrap=True)
+    if has_gateways(scenario):
+        admit_programs(scenario.spec, scenario.reading.policy)
     try_plants(scenario)
     moment = None if options.start is None else _reached(options.start, quiet=options.quiet)
     interrupts = DeferInterrupts()

@@ -53,6 +53,8 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
     scenarios = list(scenarios)
     if any(scenario.nodes for scenario in scenarios):
         return _of_stacks(scenarios, folder)
+    for scenario in scenarios:
+        admit_programs(scenario.spec, scenario.reading.policy)  # of gateways
     found = _of_laws(scenarios, folder)
     return found._replace(programs=True, verb="run") if any(map(has_gateways, scenarios)) else found
 

@@ -297,3 +297,31 @@ def test_a_gateway_is_what_fleet_agent_is_told() -> None:
     assert agent_options(GatewaySection.model_validate(given)) == [
         "--zenoh=tcp/0.0.0.0:7501", "--carry=a/**", "--udp=9000=h:1", "--modem=unet=1101", "--run=ssh auv 'go now'",
     ]  # fmt: skip
+
+
+STRANGER = """
+title: Somebody else's scenario
+vehicles: 2
+duration: 1 s
+tick: 10 ms
+graph: {edges: {1->2: 1, 2->1: 1}, reference: [1]}
+network: {period: 100 ms}
+reference: {start: 0 0 10 m, velocity: 0.5 0 0 m/s}
+formation: {offsets: [0 0 0 m, 5 0 0 m]}
+initial: [{position: 0 0 10 m}, {position: 5 0 10 m}]
+per_vehicle: {1: {gateway: {udp: {"9123": "127.0.0.1:9124"}, run: [touch, WHERE]}}}
+"""
+
+
+def test_a_stranger_s_scenario_starts_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (stranger := tmp_path / "stranger").mkdir()
+    (own := tmp_path / "own").mkdir()
+    monkeypatch.chdir(own)
+    (stranger / "s.yaml").write_text(STRANGER.replace("WHERE", str(own / "touched")))
+    for verb in ("run", "sweep"):
+        more = ("--seeds", 1) if verb == "sweep" else ()
+        done = invoke(verb, stranger / "s.yaml", *more)
+        assert done.exit_code == 2 and "would run touch" in done.output and "--trust runs it" in done.output, (
+            done.output
+        )
+    assert not (own / "touched").exists()

@@ -18,7 +18,7 @@ from fleet.addons.programs.library import NoLibraryError, compiled
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.message_signal import MessageSignal, plain_reader
 from fleet.addons.programs.modem_beside import MODEM_NAMES
-from fleet.addons.programs.process_agent import PROCESSORS, OtherProgram, ProcessAgent, epoch_ns
+from fleet.addons.programs.process_agent import PROCESSORS, OtherProgram, ProcessAgent, ReadyLine, epoch_ns
 from fleet.addons.programs.udp_ways import UdpWays
 from fleet.scenario.schema.nodes import ModemPortSection
 from fleet.scenario.schema.programs import StackSignalSection
@@ -27,7 +27,7 @@ from world.errors import PluginError
 
 _PARAMETERS = (
     "module", "interpreter", "arguments", "signals", "addresses", "env", "files", "epoch", "processors", "setup",
-    "vehicle", "udp", "modem", "beside", "ends",
+    "vehicle", "udp", "modem", "beside", "ends", "ready",
 )  # fmt: skip
 # Of 1.0, where Python ran on stand-ins. Those with a value here need nothing any more.
 _OF_BEFORE = {"process": (True, "yes"), "order": ("ready",), "shared": None}
@@ -85,6 +85,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         command = alone
         together = others
         ends = _ends(parameters.get("ends"))
+        awaits = _awaited(path, parameters.get("ready") or ())
         variables = variables_of_module
         beside = node
         reads = tuple(each for each in told.values() if isinstance(each, LineSignal))
@@ -115,6 +116,15 @@ def _others(path: Path, given: Any) -> tuple[OtherProgram, ...]:
         rest = [str(file.resolve()) if (file := _beside(path, str(word))) else str(word) for word in words[1:]]
         others.append(OtherProgram(str(name), (first, *rest), dict(each.get("env") or {}), _ends(each.get("ends"))))
     return tuple(others)
+
+
+def _awaited(path: Path, given: Any) -> tuple[ReadyLine, ...]:
+    """The lines that say that programs are ready. Raises PluginError: one is described wrongly."""
+    try:
+        return tuple(ReadyLine(str(e["name"]), re.compile(e["line"]), round(float(e["within_s"]) * 1e9)) for e in given)
+    except (KeyError, TypeError, ValueError, re.error) as error:
+        hint = "[{name: pilot, line: 'up and running', within_s: 20}]"
+        raise _wrong(path, f"ready: expected lines that say so ({error})", hint) from None
 
 
 def _ends(value: Any) -> str:

@@ -63,6 +63,14 @@ class OtherProgram(NamedTuple):
     ends: str  # whether it may end by itself, see `several_programs`
 
 
+class ReadyLine(NamedTuple):
+    """What a program prints when it is ready, as every life of it has to."""
+
+    name: str  # of the program
+    pattern: re.Pattern[str]
+    within_ns: int
+
+
 @dataclass(slots=True)
 class _Stretch:
     """Ticks in a row in which the same has come to a program: nothing, or one tick with something."""
@@ -80,6 +88,7 @@ class ProcessAgent:
     command: ClassVar[tuple[str, ...]]
     together: ClassVar[tuple[OtherProgram, ...]]
     ends: ClassVar[str]  # whether it may end by itself while others run
+    awaits: ClassVar[tuple[ReadyLine, ...]]
     variables: ClassVar[Mapping[str, str]]  # of its environment, unless the scenario gives others
     beside: ClassVar[tuple[str, ...]]  # a program of ours that gets the agent's number; (): none
     reads: ClassVar[tuple[LineSignal, ...]]
@@ -136,6 +145,8 @@ class ProcessAgent:
         self._history: list[_Stretch] = []
         counts = {each.name: each.counts for each in self.reads} | {each.name: each.counts for each in self.watches}
         self.values: dict[str, float | None] = {name: 0.0 if counted else None for name, counted in counts.items()}
+        self._awaited = [*self.awaits]  # programs that are not ready yet
+        self._begin_ns = 0
         self._unread: set[str] = set()  # signals of which a message had no number
         self._said: list[Said] = []
         self._unheard: set[int] = set()  # neighbours whose laws send what no program can hear
@@ -208,6 +219,7 @@ class ProcessAgent:
 
     def _step(self, now_ns: int, packets: list[Delivery], nav: Nav | None, tell: bool) -> _Life:
         if self._life is None:
+            self._begin_ns = now_ns
             self._life = _Life(
                 self._config, self._words, self._environment, self._files, self._book, now_ns, self._epoch_ns,
                 self._disk,
@@ -224,12 +236,26 @@ class ProcessAgent:
             for each in self.reads if stream in ("out", "err") else ():  # loggers, as those of ROS, write to err
                 if (value := each.read(text, self.values[each.name])) is not None:
                     self.values[each.name] = value
-            if tell:
+            self._awaited = [each for each in self._awaited if not each.pattern.search(text)]
+            if tell and not (stream == "end" and self._awaited):  # what was never ready has not ended well
                 self._say(at_ns, stream, text)
+        if self._awaited and (late := self._late(now_ns, life)):
+            self._awaited = []
+            life.stop()
+            if tell:
+                self._say(now_ns, "failed", late)
         if life.messages:
             self._watch(now_ns, life.messages, tell=tell)
             life.messages.clear()
         return life
+
+    def _late(self, now_ns: int, life: _Life) -> str:
+        """Which program was not ready in time, or has ended before, in words; empty: none."""
+        for each in self._awaited:
+            if life.over or now_ns - self._begin_ns > each.within_ns:
+                when = "before it ended" if life.over else f"within {each.within_ns / NS:g} s"
+                return f"{each.name} was not ready {when}: it printed no line with {each.pattern.pattern!r}"
+        return ""
 
     def _say(self, at_ns: int, stream: str, text: str) -> None:
         """Put a line into the log of the run, and into the agent's own."""
@@ -434,6 +460,11 @@ class _Life:
     def _tell_own(self, port: int, data: bytes) -> None:
         """Send a datagram to the own programs on the loopback."""
         self.processes.send(68, _ADDRESSES.pack(_LOOPBACK, port, _LOOPBACK, port) + data)
+
+    def stop(self) -> None:
+        """End it, whatever it does."""
+        self.over = True
+        self.processes.close()
 
     def _end(self, problem: str) -> list[tuple[int, str, str]]:
         self.over = True

@@ -92,8 +92,7 @@ def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     dumped = spec.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
     found = {key: dumped[key] for key in _SHARED if key in dumped}
     names = list(spec.nodes or {})
-    water = spec.network.acoustic is not None
-    tick_ns = spec.tick if water else ROUND_NS  # in water all starts are at ticks, on both clocks
+    tick_ns = _tick_ns(spec)
     tick = show_time(tick_ns)
     network = {"period": tick} | {k: v for k, v in dumped["network"].items() if k != "period"}
     checks = {key: value for key, value in found.get("checks", {}).items() if key != "punctual"}
@@ -161,6 +160,8 @@ def _agent(
     agent = _program([filled(word, known) for word in section.run], folder, section.folder)
     if environment := ours | {key: filled(text, known) for key, text in section.env.items()}:
         agent["env"] = environment
+    if awaited := [_ready(name, each, spec) for name, each in programs.items() if each.ready.line is not None]:
+        agent["ready"] = awaited
     if beside := _data_files(folder, [each.folder for each in programs.values()]):
         agent["files"] = beside
     name = names[number - 1]
@@ -198,6 +199,17 @@ def _modem(spec: ScenarioSpec, names: Sequence[str], number: int, modem: ModemPo
         if node.modem
     }
     return given | {modem.language: _modem_place(modem), "name": names[number - 1], "addresses": addresses}
+
+
+def _tick_ns(spec: ScenarioSpec) -> int:
+    """The tick: in water all starts are at ticks, on both clocks."""
+    return ROUND_NS if spec.network.acoustic is None else spec.tick
+
+
+def _ready(name: str, section: ProgramSection, spec: ScenarioSpec) -> dict[str, Any]:
+    """What a program prints when it is ready, and when it is late: at the latest with the end of the run."""
+    within_ns = min(section.ready.within, spec.duration - 2 * _tick_ns(spec))
+    return {"name": name, "line": section.ready.line, "within_s": max(0, within_ns) / 1e9}
 
 
 def _signal(section: StackSignalSection, known: Mapping[str, object]) -> dict[str, Any]:

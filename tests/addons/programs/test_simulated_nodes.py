@@ -363,3 +363,35 @@ def test_a_search_judges_programs_as_a_run_does(stack: Any) -> None:
                    "--budget", 1, "--workers", 1, "--quiet")  # fmt: skip
     assert found.exit_code == 1, found.output
     assert "not reproduced" not in found.stderr and "fault" in found.stdout
+
+
+READY = """
+title: Ready
+clock: simulated
+nodes: {{a: {{}}, b: {{}}}}
+programs:
+  a: {{run: [python, count.py, "{times}", one, "0"], ready: {ready}}}
+  b: {{run: [python, count.py, "9", two, "0"], ready: {{line: two 0}}}}
+duration: 6 s
+"""
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("times", "ready", "found"),
+    [
+        (9, "{line: one 2}", "all 2"),
+        (9, "{line: one 2, within: 1 s}", "a was not ready within 1 s: it printed no line with 'one 2'"),
+        (9, "{line: never}", "a was not ready within 5.98 s: it printed no line with 'never'"),
+        (1, "{line: one 2}", "a was not ready before it ended: it printed no line with 'one 2'"),
+    ],
+)
+def test_a_program_that_does_not_get_ready_fails(
+    times: int, ready: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the wall clock the run would not begin; here it was silently one without that program."""
+    monkeypatch.chdir(tmp_path)
+    Path("count.py").write_text(COUNT)
+    Path("stack.yaml").write_text(READY.format(times=times, ready=ready))
+    passed, words = verdict(fleet.run("stack.yaml", out="runs"), "programs")
+    assert passed == (found == "all 2") and found in words

@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from ipaddress import IPv6Address, ip_address
 from itertools import product
 from pathlib import Path
 from random import Random
@@ -19,6 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
 from agents.packets import BEGIN, EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
+from fleet.addons.programs.address_book import AddressBook
 from fleet.addons.programs.attachment import attachment
 from fleet.addons.programs.helpers import helper_command
 from fleet.addons.programs.home import copy_of_disk
@@ -51,7 +51,6 @@ MOST_QUEUED = 1 << 20  # bytes that wait for a round; what comes then is lost, a
 _ADDRESSES = struct.Struct("<16sH16sH")
 _STILL: Vec3 = (0.0, 0.0, 0.0)  # N, N m, N m
 _LOOPBACK = V4 + b"\x7f\0\0\x01"
-_HOSTS = 254  # nodes that have a name, unless a neighbour has a larger number
 
 
 class OtherProgram(NamedTuple):
@@ -134,7 +133,7 @@ class ProcessAgent:
         self._words = self._all_words(words)
         folder = self.plugin_file.parent
         self._files = [path if path.is_absolute() else folder / path for path in map(Path, files)]
-        self._book = _AddressBook(config, addresses or {})
+        self._book = AddressBook(config, addresses or {})
         self._formation = FormationAgent(config)
         self._epoch_ns = epoch_ns(epoch) if epoch else EPOCH_NS
         self._processors, self._udp = processors, dict(udp or {})
@@ -281,44 +280,6 @@ class ProcessAgent:
         return said
 
 
-class _AddressBook:
-    """The agents behind addresses."""
-
-    def __init__(self, config: AgentConfig, given: Mapping[str, int]) -> None:
-        self.own, self._given = config.id, dict(given)
-        self.largest = max([_HOSTS, config.id, *(each.id for each in config.neighbours), *self._given.values()])
-
-    @property
-    def has_others(self) -> bool:
-        """Whether it names addresses outside of the nodes' network."""
-        return any(not key.startswith(("127.", "localhost", "10.0.")) for key in self._given)
-
-    def agent(self, ip: bytes, port: int) -> int | None:
-        """The agent at an address; `EVERYBODY`: all; None: nobody."""
-        v4 = ip[:12] == V4
-        if self._given:
-            text = str(ip_address(ip[12:]) if v4 else IPv6Address(ip))
-            for key in (f"{text}:{port}", text, f"localhost:{port}" if text.startswith("127.") else text):
-                if key in self._given:
-                    return self._given[key]
-        if v4:
-            a, b, c, d = ip[12:]
-            if (
-                a >> 4 == 14
-                or ip[12:] == b"\xff\xff\xff\xff"
-                or (a == 10 and b == 0 and d == 255 and (c == 0 or c == 255))
-            ):
-                return EVERYBODY
-            if a == 127:
-                return self.own
-            return c << 8 | d if (a, b) == (10, 0) else None
-        if ip[0] == 255:
-            return EVERYBODY
-        if ip == bytes(15) + b"\x01":
-            return self.own
-        return ip[14] << 8 | ip[15] if ip[0] == 0xFD or ip[:2] == b"\xfe\x80" else None
-
-
 class _Life:
     """A program from its start to its end."""
 
@@ -328,7 +289,7 @@ class _Life:
         command: Sequence[str],
         environment: Mapping[str, str],
         files: Sequence[Path],
-        book: _AddressBook,
+        book: AddressBook,
         now_ns: int,
         epoch: int,
         disk: Path | None,

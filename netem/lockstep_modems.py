@@ -10,7 +10,7 @@ from netem.acoustic import AcousticChannel
 from netem.config import NetemConfig
 from netem.medium import Place
 from netem.modem_frame import MARK, NEWS, SWITCH_ON, read_frame
-from netem.modem_news import Began, ModemNews, News, Spoiled, Station
+from netem.modem_news import Began, ModemNews, News, Spoiled, SwitchedOn
 from netem.transit import PendingPacket, Transit
 from netem.wire.messages import Delivery
 
@@ -87,9 +87,7 @@ class LockstepModems:
             told.setdefault((i, due), []).append(event)
         for packet in arrived:
             if packet.dst in self._on and not packet.corrupted and packet.payload.startswith(MARK):
-                processing_ns = round(self._acoustic.modem_of(packet.dst).processing * 1e9)
-                heard = self._news.heard(packet, processing_ns, places)
-                told.setdefault((packet.dst, packet.due_tick), []).append(heard)
+                told.setdefault((packet.dst, packet.due_tick), []).append(self._news.arrived(packet, places))
         for (i, due), events in told.items():
             if i in inboxes:
                 news = Delivery(due, tick, i, 0, 0, NEWS + _encode(events))
@@ -102,14 +100,13 @@ class LockstepModems:
         def called(src: int, seq: int) -> int | None:
             return self._names.get((src, seq))
 
-        return ModemNews(self._water, self._transit, self._config.tick_ns, called)
+        return ModemNews(self._config, self._water, self._transit, called)
 
-    def _station(self, i: int) -> Station:
+    def _station(self, i: int) -> SwitchedOn:
         config, acoustic = self._config, self._acoustic
-        slowest = max(acoustic.backoff_ticks, len(config.vehicles) * acoustic.slot_ticks)
-        return Station(
-            acoustic.modem_of(i), acoustic.longest(config.tick_ns, i), acoustic.buffer, slowest * config.tick_ns / 1e9,
-            acoustic.sound_speed, config.seed,
+        return SwitchedOn(
+            acoustic.modem_of(i), acoustic.longest(config.tick_ns, i), acoustic.buffer,
+            acoustic.longest_access_s(config.tick_ns, len(config.vehicles)), acoustic.sound_speed, config.seed,
         )  # fmt: skip
 
     def take_over(self, before: LockstepModems) -> None:

@@ -112,6 +112,10 @@ class AcousticConfig:
             return modem.mtu
         return modem.largest(self.slot_ticks * tick_ns - self.guard_ns)
 
+    def longest_access_s(self, tick_ns: int, vehicles: int) -> float:
+        """The longest that a free modem waits for its turn to talk [s], in a fleet of so many."""
+        return max(self.backoff_ticks, vehicles * self.slot_ticks) * tick_ns / 1e9
+
     def noise_level(self, receiver: Modem | None = None) -> float:
         """Noise in the band of a modem [dB re 1 uPa]."""
         modem = self.modem if receiver is None else receiver

@@ -35,7 +35,7 @@ _FIELDS = Struct("<qIBBBH")
 _HEAD = len(_FRAME) + _FIELDS.size
 
 
-class Frame(NamedTuple):
+class ModemFrame(NamedTuple):
     """A frame of a modem."""
 
     name: int  # what its sender calls it
@@ -53,13 +53,13 @@ class Frame(NamedTuple):
         return b"".join((_FRAME, fields, self.head, self.payload))
 
 
-def read_frame(payload: bytes) -> Frame | None:
+def read_frame(payload: bytes) -> ModemFrame | None:
     """The frame of a payload; None: it holds none."""
     if not payload.startswith(_FRAME) or len(payload) < _HEAD:
         return None
     at_ns, name, src, to, what, size = _FIELDS.unpack_from(payload, len(_FRAME))
     head = payload[_HEAD : _HEAD + size]
-    return Frame(name, src, to, what, payload[_HEAD + size :], head, None if at_ns < 0 else at_ns)
+    return ModemFrame(name, src, to, what, payload[_HEAD + size :], head, None if at_ns < 0 else at_ns)
 
 
 def size_on_air(payload: bytes) -> int:

@@ -11,7 +11,8 @@ from msgspec import Struct
 
 from netem.acoustic import AcousticChannel
 from netem.cause import Cause
-from netem.endpoint import UNKNOWN, Level
+from netem.config import NetemConfig
+from netem.endpoint import UNKNOWN, HeardFrame, Level, ModemEndpoint, SentFrame, Sound
 from netem.medium import Place
 from netem.modem import Modem
 from netem.station import Burst
@@ -21,7 +22,7 @@ _MOST_BURSTS = 10_000  # transmissions that are remembered
 _NOTICED = frozenset({Cause.COLLISION, Cause.SNR})  # what a receiver's modem notices of the causes of a loss
 
 
-class Station(Struct, frozen=True, array_like=True, tag=0):
+class SwitchedOn(Struct, frozen=True, array_like=True, tag=0):
     """A modem, as the channel knows it: the first of its news."""
 
     modem: Modem
@@ -47,7 +48,7 @@ class Unsent(Struct, frozen=True, array_like=True, tag=2):
     cause: Cause
 
 
-class Reached(Struct, frozen=True, array_like=True, tag=3):
+class SoundReached(Struct, frozen=True, array_like=True, tag=3):
     """A transmission of another modem is on its way here."""
 
     begin_ns: int  # it may be later than now
@@ -62,7 +63,7 @@ class Spoiled(Struct, frozen=True, array_like=True, tag=4):
     level: Level
 
 
-class Heard(Struct, frozen=True, array_like=True, tag=5):
+class FrameArrived(Struct, frozen=True, array_like=True, tag=5):
     """A payload has arrived whole: number `seq` and copy `copy` of vehicle `src`."""
 
     src: int
@@ -74,8 +75,28 @@ class Heard(Struct, frozen=True, array_like=True, tag=5):
     level: Level
     away: tuple[float, ...] | None  # north, east, down [m]: from here to its modem, where they are now
 
+    def frame(self, src: int, to: int, what: int, payload: bytes, head: bytes, begin_ns: int) -> HeardFrame:
+        """What a modem hears with it, of the words of its sender. `begin_ns`: of tick 0 [CLOCK_MONOTONIC]."""
+        return HeardFrame(
+            src, to, what, payload, begin_ns + self.sent_ns, begin_ns + self.begin_ns, begin_ns + self.end_ns, head,
+            self.level, self.away,
+        )  # fmt: skip
 
-News = Station | Began | Unsent | Reached | Spoiled | Heard
+
+News = SwitchedOn | Began | Unsent | SoundReached | Spoiled | FrameArrived
+
+
+def tell(modem: ModemEndpoint, event: Began | Unsent | SoundReached | Spoiled, begin_ns: int) -> None:
+    """Hand a piece of news to a modem. `begin_ns`: of tick 0 [CLOCK_MONOTONIC]."""
+    match event:
+        case Began():
+            modem.sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
+        case Unsent():
+            modem.dropped(event.payload, event.cause)
+        case SoundReached():
+            modem.reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
+        case Spoiled():
+            modem.spoiled(event.cause, begin_ns + event.at_ns, event.level)
 
 
 class ModemNews:
@@ -83,32 +104,34 @@ class ModemNews:
 
     def __init__(
         self,
+        config: NetemConfig,
         water: AcousticChannel,
         transit: Transit,
-        tick_ns: int,
         called: Callable[[int, int], int | None],
     ) -> None:
         """Listen to a channel.
 
         Args:
-            water: the channel, of which nobody else takes `begun` and `unsent`.
-            transit: where it puts what is lost.
-            tick_ns: the sample time [ns].
-            called: what the sender's modem calls a payload, by the sender and the payload's number; None: it knows it
-                by no name, so that it is not told of it.
+            config: of the run; it has an acoustic channel.
+            water: that channel. Its `begun` and `unsent` are taken here alone.
+            transit: the channel puts into it what is lost.
+            called: gets a sender and the number of a payload. Returns what the sender's modem calls it. None: the modem
+                is not told of this payload.
         """
-        self._water, self._transit, self._tick_ns, self._called = water, transit, tick_ns, called
+        assert config.acoustic is not None
+        self._acoustic, self._tick_ns = config.acoustic, config.tick_ns
+        self._water, self._transit, self._called = water, transit, called
         self._bursts: dict[tuple[int, int], Burst] = {}  # by sender and number of a payload
         water.begun, transit.spoiled = [], []
 
-    def take(self, modems: Collection[int]) -> Iterator[tuple[int, News]]:
+    def take(self, modems: Collection[int]) -> Iterator[tuple[int, Began | Unsent | SoundReached | Spoiled]]:
         """What has happened since the last call at some vehicles, each with its news."""
         water, tick_ns = self._water, self._tick_ns
         for seq, burst in water.begun or ():
             at_ns, airtime_ns = burst.start_tick * tick_ns, burst.airtime_ns
             for i, _, travel_ns in burst.heard:
                 if i in modems:
-                    yield i, Reached(at_ns + travel_ns, at_ns + travel_ns + airtime_ns)
+                    yield i, SoundReached(at_ns + travel_ns, at_ns + travel_ns + airtime_ns)
             if seq is None:  # an answer of the channel's own
                 continue
             self._bursts[burst.src, seq] = burst
@@ -124,23 +147,17 @@ class ModemNews:
         while len(self._bursts) > _MOST_BURSTS:
             del self._bursts[next(iter(self._bursts))]
 
-    def heard(self, packet: PendingPacket, processing_ns: int, places: Mapping[int, Place]) -> Heard:
-        """The news of a packet that has arrived.
-
-        Args:
-            packet: it.
-            processing_ns: how long its receiver's modem takes to hand over what it has heard [ns].
-            places: of the vehicles that are known [m, NED].
-        """
+    def arrived(self, packet: PendingPacket, places: Mapping[int, Place]) -> FrameArrived:
+        """The news of a packet that has arrived. `places`: of the vehicles that are known [m, NED]."""
         src, dst, seq = packet.src, packet.dst, packet.seq
         end_ns = packet.sent_tick * self._tick_ns + packet.delay_ns
         sent_ns, airtime_ns = end_ns, 0
         if (burst := self._bursts.get((src, seq))) is not None:
             sent_ns, airtime_ns = burst.start_tick * self._tick_ns, burst.airtime_ns
-        begin_ns = end_ns - processing_ns - airtime_ns
+        begin_ns = end_ns - round(self._acoustic.modem_of(dst).processing * 1e9) - airtime_ns
         here, there = places.get(dst), places.get(src)
         away = None if here is None or there is None else tuple(b - a for a, b in zip(here, there, strict=True))[:3]
-        return Heard(src, seq, packet.copy, sent_ns, begin_ns, end_ns, self.level(src, seq, dst), away)
+        return FrameArrived(src, seq, packet.copy, sent_ns, begin_ns, end_ns, self.level(src, seq, dst), away)
 
     def level(self, src: int, seq: int, dst: int) -> Level:
         """How strong the transmission of a payload is at a vehicle; UNKNOWN: it is forgotten."""

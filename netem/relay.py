@@ -21,13 +21,13 @@ from netem.cause import Cause
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.correlation import lost_share
-from netem.endpoint import UNKNOWN, HeardFrame, Level, ModemEndpoint, SentFrame, Sound
+from netem.endpoint import UNKNOWN, HeardFrame, Level, ModemEndpoint
 from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY
 from netem.links import make_links
 from netem.medium import IndependentLinks, MediumRound, Place
-from netem.modem_news import Began, ModemNews, Reached, Spoiled, Unsent
+from netem.modem_news import ModemNews, tell
 from netem.network import fate_order
 from netem.robot_message import MODEM, PUT, RobotMessage
 from netem.transit import HeldPacket, PendingPacket, Transit
@@ -164,7 +164,7 @@ class Relay:
         self._water = AcousticChannel(config, self._links, self._out) if water else None
         self._modems, self._news = modems, None
         if modems and self._water is not None:
-            self._news = ModemNews(self._water, self._out, config.tick_ns, self._called)
+            self._news = ModemNews(config, self._water, self._out, self._called)
         self._taken = 0
         self._leaving: dict[int, DueMessage] = {}  # given out by `handed` and not yet settled, by identity
         self._came: dict[int, list[tuple[PacketPart, bytes]]] = {}  # in water: what leaves at the next tick
@@ -349,18 +349,8 @@ class Relay:
 
     def _tell_modems(self, news: ModemNews) -> None:
         """Tell modems what begins to be transmitted, where it is heard, and what is lost before or spoiled there."""
-        begin_ns = self._begin_ns
         for i, event in news.take(self._modems):
-            modem = self._modems[i]
-            match event:
-                case Reached():
-                    modem.reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
-                case Began():
-                    modem.sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
-                case Unsent():
-                    modem.dropped(event.payload, event.cause)
-                case Spoiled():
-                    modem.spoiled(event.cause, begin_ns + event.at_ns, event.level)
+            tell(self._modems[i], event, self._begin_ns)
 
     def _called(self, src: int, seq: int) -> int | None:
         """What a modem calls a payload of its own."""
@@ -371,15 +361,12 @@ class Relay:
         """The frame that a modem hears with a message that is due. None: the message is damaged, and a modem has
         checksums.
         """
-        acoustic = self.config.acoustic
-        if due.packet.corrupted or self._news is None or acoustic is None:
+        if due.packet.corrupted or self._news is None:
             return None
-        heard = self._news.heard(due.packet, round(acoustic.modem_of(due.dst).processing * 1e9), self.places)
-        request, begin_ns = due.message.what, self._begin_ns
-        return HeardFrame(
-            request.src, request.to, request.what, due.payload, begin_ns + heard.sent_ns, begin_ns + heard.begin_ns,
-            begin_ns + heard.end_ns, request.head, heard.level, heard.away,
-        )  # fmt: skip
+        request = due.message.what
+        return self._news.arrived(due.packet, self.places).frame(
+            request.src, request.to, request.what, due.payload, request.head, self._begin_ns
+        )
 
     def level_of(self, due: DueMessage) -> Level:
         """How strong the transmission of a message that is due was; UNKNOWN: it is forgotten."""

@@ -207,9 +207,8 @@ class RelayProcess:
         acoustic = self._setup.config.acoustic
         if acoustic is None:
             return
-        robots, tick_s = self._setup.config.vehicles, self._setup.config.tick_ns / 1e9
-        access_s = tick_s * max(acoustic.backoff_ticks, len(robots) * acoustic.slot_ticks)
-        names = self._names
+        config, names = self._setup.config, self._names
+        access_s = acoustic.longest_access_s(config.tick_ns, len(config.vehicles))
         addresses = {names[i]: modem.address for i, modem in self._modems.items()}
         for i, modem in self._modems.items():
 
@@ -219,10 +218,10 @@ class RelayProcess:
             def move(to: tuple[float, ...], i: int = i) -> None:
                 self._queue.put(_Moved(i, to))
 
-            longest = acoustic.longest(self._setup.config.tick_ns, i) - self._setup.header
+            longest = acoustic.longest(config.tick_ns, i) - self._setup.header
             modem.begin(
                 Sea(acoustic.modem_of(i), longest, acoustic.buffer, access_s, acoustic.sound_speed, begin_ns,
-                    self._setup.config.seed, names[i], addresses, self._queue.put, place, move)
+                    config.seed, names[i], addresses, self._queue.put, place, move)
             )  # fmt: skip
 
     def _serve(self) -> None:

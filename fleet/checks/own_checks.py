@@ -124,7 +124,7 @@ class OwnChecks:
 
     def _named(self, text: str) -> str:
         """Words about vehicles with the names of nodes, if the scenario has some, on either clock."""
-        names = self._scenario.nodes or tuple(self._scenario.spec.names or ())
+        names = self._scenario.names
         if not names:
             return text
         text = re.sub(r"\bvehicles? (\d+(?:(?:, | and )\d+)*)", lambda found: named(found[1], names), text)

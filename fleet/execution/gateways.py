@@ -48,7 +48,7 @@ class Gateways:
         self._end(i)
         options = agent_options(self._sections[i])
         words = [sys.executable, "-m", "fleet", "agent", "--join", str(join_file), "--wait", *options]
-        log = self._directory.path / "log" / f"gateway-{i}.log"
+        log = self._log(i)
         environment = os.environ | {PARENT_PID_VARIABLE: str(os.getpid())}
         try:
             log.parent.mkdir(parents=True, exist_ok=True)
@@ -64,10 +64,13 @@ class Gateways:
         """Which gateway has ended with a failure, and its last line; empty: none has."""
         for i, process in self._running.items():
             if process.poll() not in (None, 0):
-                log = self._directory.path / "log" / f"gateway-{i}.log"
+                log = self._log(i)
                 last = (log.read_text("utf-8", "replace").strip().splitlines() or ["(nothing printed)"])[-1]
                 return f"the gateway of vehicle {i} ended with status {process.returncode}: {last} ({log})"
         return ""
+
+    def _log(self, i: int) -> Path:
+        return self._directory.path / "log" / f"gateway-{i}.log"
 
     def close(self) -> None:
         """End what is left. They end by themselves with the run, so most are gone."""

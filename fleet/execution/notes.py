@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from fleet.errors import printable
 from netem.errors import MalformedMessage
@@ -15,6 +15,7 @@ from netem.wire.messages import Ended, Note
 from netem.wire.queues import Quota
 
 MOST_NOTES = 1000
+MOST_NAMES = 8  # of programs or nodes in one line
 _ALIKE = " (so did agent"  # begins what `folded` adds
 _AGENT = re.compile(r"\bagent (\d+)\b")
 
@@ -26,6 +27,16 @@ def tick_text(tick: int, tick_ns: int) -> str:
 
 def note_text(tick: int, tick_ns: int, who: str, text: str) -> str:
     return f"{tick_text(tick, tick_ns)} {who}: {text}"
+
+
+def some(names: Sequence[str]) -> str:
+    """The first names of some, and how many there are beside them."""
+    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
+
+
+def nothing_came(nodes: Sequence[str]) -> str:
+    """The note on nodes that sent nothing: no loss or delay can have been seen to matter to them."""
+    return f"nothing came from {some(nodes)}, and no packet of theirs was delayed or lost"
 
 
 def without_agent(note: str) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from msgspec import convert
 
 from fleet.analysis.verdicts import judge, judge_expected
 from fleet.cores import cores, machine
+from fleet.execution.notes import nothing_came
 from fleet.execution.runner import Runner
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogError, LogFile, NoLog
@@ -88,13 +89,11 @@ def account_for(
     result.wall = wall
     result.rejected = runner.closing.rejected
     result.deaths = {str(i): how for i, how in runner.deaths.items()}
-    result.notes = [*runner.notes, *_silent(scenario, journal)]
+    silent = _silent(scenario, journal)
+    result.notes = [*runner.notes, *([nothing_came(silent)] if silent else [])]
 
 
-def _silent(scenario: Scenario, journal: Journal) -> Iterator[str]:
-    """Notes on what were nodes and sent nothing: no loss or delay can have been seen to matter to them."""
+def _silent(scenario: Scenario, journal: Journal) -> list[str]:
+    """The nodes in simulated time that sent nothing. The relay tells those of the wall clock."""
     speak = {src for (src, _), account in journal.ledger.accounts.items() if account.sent}
-    silent = [name for i, name in enumerate(scenario.spec.names or (), start=1) if i not in speak]
-    if silent:
-        some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
-        yield f"nothing came from {some}, and no packet of theirs was delayed or lost"
+    return [name for i, name in enumerate(scenario.spec.names or (), start=1) if i not in speak]

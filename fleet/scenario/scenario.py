@@ -106,10 +106,14 @@ class Scenario:
         """Whether it has a planned end; one with nodes may run until somebody ends it."""
         return not (self.nodes and self.duration_ns == UNTIL_STOPPED_NS)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of nodes, on either clock; (): they are vehicles, which have numbers."""
+        return self.nodes or tuple(self.spec.names or ())
+
     def vehicle_name(self, i: int) -> str:
         """The number of a vehicle, or the name of a node."""
-        names = self.nodes or self.spec.names
-        return names[i - 1] if names else str(i)
+        return self.names[i - 1] if self.names else str(i)
 
     def link_name(self, link: Link) -> str:
         """`1->2`, or with the names of nodes."""

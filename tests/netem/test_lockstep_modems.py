@@ -14,8 +14,8 @@ from netem.endpoint import HeardFrame, Level, ModemRequest, SentFrame, Sound
 from netem.faults import NetFault
 from netem.lockstep_modems import read_news
 from netem.modem import AcousticConfig, Modem
-from netem.modem_frame import MARK, NEWS, SWITCH_ON, Frame, read_frame, size_on_air
-from netem.modem_news import Began, Heard, Reached, Spoiled, Station, Unsent
+from netem.modem_frame import MARK, NEWS, SWITCH_ON, ModemFrame, read_frame, size_on_air
+from netem.modem_news import Began, FrameArrived, SoundReached, Spoiled, SwitchedOn, Unsent
 from netem.network import Netem
 from netem.relay import Relay
 from netem.robot_message import MODEM as MODEM_MESSAGE
@@ -48,7 +48,7 @@ class Ear:
         self.news.append(Unsent(tag, cause))
 
     def reached(self, sound: Sound) -> None:
-        self.news.append(Reached(*sound))
+        self.news.append(SoundReached(*sound))
 
     def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         self.news.append(Spoiled(cause, at_ns, level))
@@ -95,16 +95,18 @@ def of_lockstep(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]
         for name, (at, src, payload, later) in enumerate(said):
             if at == tick:
                 begin = None if later is None else (tick + later) * TICK_NS
-                sent[src] += (Frame(name, src, 0, 7, payload, b"head", begin).packed(),)
+                sent[src] += (ModemFrame(name, src, 0, 7, payload, b"head", begin).packed(),)
         for i, inbox in netem.exchange(tick, sent, PLACES).inboxes.items():
-            known: dict[tuple[int, int, int], Heard] = {}
+            known: dict[tuple[int, int, int], FrameArrived] = {}
             for delivery in inbox:
                 if delivery.payload.startswith(NEWS):
                     assert delivery.src == i
                     events = read_news(delivery.payload)
-                    known |= {(each.src, each.seq, each.copy): each for each in events if isinstance(each, Heard)}
-                    news[i] += [each for each in events if not isinstance(each, Heard | Station)]
-                    assert tick > 0 or isinstance(events[0], Station)
+                    known |= {
+                        (each.src, each.seq, each.copy): each for each in events if isinstance(each, FrameArrived)
+                    }
+                    news[i] += [each for each in events if not isinstance(each, FrameArrived | SwitchedOn)]
+                    assert tick > 0 or isinstance(events[0], SwitchedOn)
                 else:
                     heard, frame = known[delivery.src, delivery.seq, delivery.copy], read_frame(delivery.payload)
                     assert frame is not None and delivery.due_tick == -(-heard.end_ns // TICK_NS)
@@ -137,7 +139,7 @@ def test_a_range_of_times_is_that_of_the_way() -> None:
     st.none() | st.integers(0, 2**62),
 )  # fmt: skip
 def test_a_frame_is_read_as_it_was_written(name: int, to: int, payload: bytes, head: bytes, at: int | None) -> None:
-    frame = Frame(name, 3, to, 64, payload, head, at)
+    frame = ModemFrame(name, 3, to, 64, payload, head, at)
     assert read_frame(frame.packed()) == frame and size_on_air(frame.packed()) == len(payload)
 
 
@@ -156,7 +158,7 @@ def test_who_listens_changes_nothing_for_the_packets(listening: tuple[int, ...])
         for tick in range(200):
             sent = {i: (SWITCH_ON,) if tick == 0 and i in listening else () for i in PLACES}
             if tick % 9 == 1:
-                sent[1 + tick % 3] = (Frame(tick, 1, 0, 7, bytes(12)).packed(),)
+                sent[1 + tick % 3] = (ModemFrame(tick, 1, 0, 7, bytes(12)).packed(),)
             found += netem.exchange(tick, sent, PLACES).fates
         return found
 
@@ -174,7 +176,7 @@ def test_another_network_goes_on_with_the_modems_of_the_first() -> None:
                 netem.take_over(before)
             sent: dict[int, tuple[bytes, ...]] = dict.fromkeys(PLACES, (SWITCH_ON,) if tick == 0 else ())
             if tick in (3, 28):
-                sent[1] += (Frame(tick, 1, 0, 7, bytes(12)).packed(),)
+                sent[1] += (ModemFrame(tick, 1, 0, 7, bytes(12)).packed(),)
             found.append(netem.exchange(tick, sent, PLACES).inboxes)
         return found
 

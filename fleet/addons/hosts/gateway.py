@@ -53,7 +53,7 @@ class Counts(NamedTuple):
         out: datagrams that they sent, and that went into the network.
         into: datagrams that were given to them.
         lost: those that found no room on the way out.
-        late: those that waited longer than a round on the way out: the run was behind, or much had to leave.
+        late: those that waited longer than a round on the way out. The run was behind, or much had to leave.
     """
 
     out: int
@@ -97,7 +97,7 @@ def modem_section(text: str) -> ModemPortSection:
     try:
         return ModemPortSection.model_validate({language: int(where) if where.isdecimal() else where})
     except ValidationError as error:
-        raise FleetError(f"--modem {language}: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
+        raise FleetError(f"--modem {language}: {error.errors()[0]['msg']}") from None
 
 
 class _Sent(NamedTuple):

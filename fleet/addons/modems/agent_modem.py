@@ -8,10 +8,10 @@ from typing import Any
 from msgspec import MsgspecError
 
 from fleet.addons.modems.modem import ModemCore
-from netem.endpoint import HeardFrame, ModemRequest, Sea, SentFrame, Sound
+from netem.endpoint import ModemRequest, Sea
 from netem.lockstep_modems import read_news
-from netem.modem_frame import NEWS, SWITCH_ON, Frame, read_frame
-from netem.modem_news import Began, Heard, News, Reached, Spoiled, Station, Unsent
+from netem.modem_frame import NEWS, SWITCH_ON, ModemFrame, read_frame
+from netem.modem_news import FrameArrived, News, SwitchedOn, tell
 
 Place = tuple[float, ...]
 
@@ -39,7 +39,7 @@ class AgentModem:
         self._modem, self._name, self._addresses, self._begin_ns = modem, name, dict(addresses), begin_ns
         self._send = send
         self._place: Place = (0.0, 0.0, 0.0)
-        self._arrives: dict[tuple[int, int, int], Heard] = {}  # what is known of payloads that come next
+        self._arrives: dict[tuple[int, int, int], FrameArrived] = {}  # what is known of payloads that come next
         self._begun = False
         send(SWITCH_ON)
 
@@ -60,34 +60,22 @@ class AgentModem:
                 return
             for event in news:
                 self._learn(event)
-        elif (heard := self._arrives.pop((src, seq, copy), None)) and (frame := read_frame(payload)):
-            begin_ns = self._begin_ns
-            self._modem.heard(
-                HeardFrame(
-                    frame.src, frame.to, frame.what, frame.payload, begin_ns + heard.sent_ns, begin_ns + heard.begin_ns,
-                    begin_ns + heard.end_ns, frame.head, heard.level, heard.away,
-                )
-            )  # fmt: skip
+        elif (arrives := self._arrives.pop((src, seq, copy), None)) and (frame := read_frame(payload)):
+            heard = arrives.frame(frame.src, frame.to, frame.what, frame.payload, frame.head, self._begin_ns)
+            self._modem.heard(heard)
 
     def _learn(self, event: News) -> None:
-        modem, begin_ns = self._modem, self._begin_ns
         match event:
-            case Station():
+            case SwitchedOn():
                 if not self._begun:
                     self._begun = True
-                    modem.begin(self._sea(event))
-            case Began():
-                modem.sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
-            case Unsent():
-                modem.dropped(event.payload, event.cause)
-            case Reached():
-                modem.reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
-            case Spoiled():
-                modem.spoiled(event.cause, begin_ns + event.at_ns, event.level)
-            case Heard():
+                    self._modem.begin(self._sea(event))
+            case FrameArrived():
                 self._arrives[event.src, event.seq, event.copy] = event
+            case _:
+                tell(self._modem, event, self._begin_ns)
 
-    def _sea(self, station: Station) -> Sea:
+    def _sea(self, station: SwitchedOn) -> Sea:
         return Sea(
             station.modem, station.mtu, station.queue, station.access_s, station.sound_speed, self._begin_ns,
             station.seed, self._name, {**self._addresses, self._name: self._modem.address}, self._transmit,
@@ -97,7 +85,7 @@ class AgentModem:
     def _transmit(self, request: ModemRequest) -> None:
         at_ns = None if request.at_ns is None else request.at_ns - self._begin_ns
         to, what = request.to, request.what
-        self._send(Frame(request.tag, request.src, to, what, request.payload, request.head, at_ns).packed())
+        self._send(ModemFrame(request.tag, request.src, to, what, request.payload, request.head, at_ns).packed())
 
     def _cannot_move(self, _: Any) -> None:
         self._modem.remark_once("a program said where its modem is: here a vehicle is where the run has it")

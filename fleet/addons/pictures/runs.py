@@ -77,8 +77,7 @@ class Run:
 
     def vehicle_label(self, i: int) -> str:
         """`UUV 1`, or the name of a node, also in simulated time."""
-        named = self.scenario is not None and (self.of_nodes or self.scenario.spec.names)
-        return self.scenario.vehicle_name(i) if named and self.scenario is not None else f"UUV {i}"
+        return self.scenario.vehicle_name(i) if self.scenario is not None and self.scenario.names else f"UUV {i}"
 
     def link_label(self, link: Link) -> str:
         """`1→2`, or with the names of nodes."""

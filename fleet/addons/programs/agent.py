@@ -186,7 +186,7 @@ def _check_modem(path: Path, given: Any) -> None:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, ("modem", *first["loc"])))
-        raise _wrong(path, f"{where}: {first['msg'].removeprefix('Value error, ')}", hint) from None
+        raise _wrong(path, f"{where}: {first['msg']}", hint) from None
     if not section.where:
         raise _wrong(path, "modem: expected a language with a port that is not 0, or with a path", hint)
 
@@ -222,7 +222,7 @@ def _signal(path: Path, name: str, about: Any) -> LineSignal | MessageSignal:
         section = StackSignalSection.model_validate(about)
     except ValidationError as error:
         first = error.errors()[0]
-        raise _wrong(path, f"signals.{name}: {first['msg'].removeprefix('Value error, ')}") from None
+        raise _wrong(path, f"signals.{name}: {first['msg']}") from None
     if section.ros is not None:
         raise _wrong(path, f"signals.{name}: messages of ROS 2 are not read in simulated time", "line: what it prints")
     assert section.message is not None  # the schema has seen it

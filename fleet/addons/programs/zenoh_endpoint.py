@@ -25,7 +25,7 @@ import msgpack
 import zenoh
 
 from fleet.addons.programs.known_ports import COMMAND_PORT, NAVIGATION_PORT, READY_PORT, WATER_PORT, ZENOH_PORT
-from fleet.addons.programs.zenoh_messages import Kind
+from fleet.addons.programs.zenoh_messages import MessageKind
 from netem.errors import BusError
 from netem.namespaces import address
 from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
@@ -129,7 +129,7 @@ class ZenohEndpoint:
         message = read(item)
         if message is None:  # no more replies of own programs to a query of another agent
             asker, number = item.ticket.query.name
-            self._send([Kind.END, number, item.ticket.sent.get(self._number, 0)], asker)
+            self._send([MessageKind.END, number, item.ticket.sent.get(self._number, 0)], asker)
             return
         if message.key.startswith(OWN):
             if message.key == COMMAND and message.kind == PUT:
@@ -139,7 +139,7 @@ class ZenohEndpoint:
             return
         what = message.what
         if message.kind in (PUT, DELETE):
-            kind = Kind.PUT if message.kind == PUT else Kind.DELETE
+            kind = MessageKind.PUT if message.kind == PUT else MessageKind.DELETE
             self._send([kind, message.key, message.payload, *_manner(what)])
         elif message.kind == QUERY:
             query = what.query
@@ -150,7 +150,7 @@ class ZenohEndpoint:
                 number = next(self._count)
                 self._tickets[number], self._numbers[what] = what, number
                 self._queries.begin(what, len(message.payload))
-            self._send([Kind.QUERY, number, *asked])
+            self._send([MessageKind.QUERY, number, *asked])
         elif message.kind == REPLY:
             ticket, reply = what
             asker, number = ticket.query.name
@@ -159,7 +159,7 @@ class ZenohEndpoint:
             sample = reply.err if failed else reply.ok
             how = 2 if failed else int(reply.ok.kind == zenoh.SampleKind.DELETE)
             manner = [str(sample.encoding)] if failed else _manner(sample)
-            self._send([Kind.REPLY, number, how, message.key, message.payload, *manner], asker)
+            self._send([MessageKind.REPLY, number, how, message.key, message.payload, *manner], asker)
 
     def _announced(self, token: Token) -> None:
         if token.alive == (token.key in self._own_tokens) or not self._robot.carries(token.key):
@@ -174,7 +174,7 @@ class ZenohEndpoint:
 
     def _tell_tokens(self) -> None:
         if self._own_tokens or monotonic_ns() < self._tokens_end_ns:
-            self._send([Kind.TOKENS, list(self._own_tokens)])
+            self._send([MessageKind.TOKENS, list(self._own_tokens)])
 
     def _end_query(self, ticket: Ticket) -> None:
         number = self._numbers.pop(ticket, 0)
@@ -194,7 +194,7 @@ class ZenohEndpoint:
         number, parts = next(self._count), -(-len(data) // MOST_DATAGRAM)
         for i in range(parts):
             part = data[i * MOST_DATAGRAM : (i + 1) * MOST_DATAGRAM]
-            self._send_datagram(msgpack.packb([Kind.PART, number, i, parts, part]), to)
+            self._send_datagram(msgpack.packb([MessageKind.PART, number, i, parts, part]), to)
 
     def hear(self, src: int, data: bytes) -> None:
         """Take a datagram of the endpoint of another agent."""
@@ -202,7 +202,7 @@ class ZenohEndpoint:
             return  # a broadcast comes back, and who wakes us says nothing
         try:
             message = msgpack.unpackb(data)
-            if message[0] == Kind.PART:
+            if message[0] == MessageKind.PART:
                 whole = self._whole(src, *message[1:])
                 if whole is None:
                     return
@@ -226,18 +226,20 @@ class ZenohEndpoint:
     def _handle(self, src: int, message: list[Any]) -> None:
         kind, *rest = message
         robot, now_ns = self._robot, monotonic_ns()
-        if kind in (Kind.PUT, Kind.DELETE):
+        if kind in (MessageKind.PUT, MessageKind.DELETE):
             key, payload, *manner = rest
             what = _sample(key, *manner)
-            robot.hand(RobotMessage(src, PUT if kind == Kind.PUT else DELETE, key, payload, now_ns, what), payload)
-        elif kind == Kind.QUERY:
+            robot.hand(
+                RobotMessage(src, PUT if kind == MessageKind.PUT else DELETE, key, payload, now_ns, what), payload
+            )
+        elif kind == MessageKind.QUERY:
             number, selector, payload, encoding, attachment = rest
             query = SimpleNamespace(
                 name=(src, number), selector=selector, key_expr=selector.partition("?")[0], payload=payload,
                 encoding=encoding and zenoh.Encoding(encoding), attachment=attachment,
             )  # fmt: skip
             robot.ask(Ticket(query, src), payload)
-        elif kind == Kind.REPLY:
+        elif kind == MessageKind.REPLY:
             number, how, key, payload, encoding, *manner = rest
             if (ticket := self._tickets.get(number)) is None:
                 return
@@ -250,13 +252,13 @@ class ZenohEndpoint:
             answer(RobotMessage(src, REPLY, key, payload, now_ns, (ticket, reply)), payload)
             with self._lock:
                 self._queries.arrived(ticket, src)
-        elif kind == Kind.END:
+        elif kind == MessageKind.END:
             number, replies = rest
             with self._lock:
                 if (ticket := self._tickets.get(number)) is not None and src not in ticket.ended:
                     self._queries.sent(ticket, src, replies)
                     self._queries.ended(ticket, src)
-        elif kind == Kind.TOKENS:
+        elif kind == MessageKind.TOKENS:
             with self._lock:
                 self._heard_ns[src] = now_ns
                 self._show(src, set(rest[0]))

@@ -8,7 +8,7 @@ from enum import IntEnum
 import msgpack
 
 
-class Kind(IntEnum):
+class MessageKind(IntEnum):
     """What a message is."""
 
     PUT = 0
@@ -26,5 +26,5 @@ def puts(datagram: bytes) -> Iterator[tuple[str, bytes]]:
         message = msgpack.unpackb(datagram)
     except ValueError:  # who wakes the endpoint sends nothing
         return
-    if isinstance(message, list) and len(message) > 2 and message[0] == Kind.PUT:
+    if isinstance(message, list) and len(message) > 2 and message[0] == MessageKind.PUT:
         yield message[1], message[2]

@@ -22,6 +22,7 @@ from fleet.addons.robots import keeper
 from fleet.addons.robots.message_values import reader
 from fleet.analysis.command_lines import search_path
 from fleet.errors import RunBroken
+from fleet.execution.notes import some
 from fleet.processes.child_start import for_programs
 from fleet.processes.children import describe_exit
 from fleet.result.verdict import Verdict
@@ -41,7 +42,6 @@ COMPOSE_S = 0.05  # between two looks at the operator while docker works
 FEW_LINES = 3  # of a program that ends while the run goes on: others may, too
 PATIENCE_NS = 1_000_000_000  # until the user is told who is waited for at the end
 STOP_S = 3.0  # for the keeper, beside the time that programs have to stop
-MOST_NAMES = 8  # of programs or nodes in one line
 _EARLY = "{begin_s}"
 _LOGS = ("keeper", "relay")  # of the run, beside those of programs
 _NEVER = "(?!)"  # a line has no match of it: something else says that the program is ready
@@ -534,11 +534,6 @@ class Programs:
                 raise
         if docker.returncode and words[0] == "up":
             raise RunBroken(f"{' '.join(map(quote, command))} failed", said.splitlines()[-12:])
-
-
-def some(names: Sequence[str]) -> str:
-    """The first names of some, and how many there are beside them."""
-    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
 
 
 def _last_lines(file: Path) -> list[str]:

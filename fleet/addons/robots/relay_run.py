@@ -19,11 +19,12 @@ import msgpack
 import msgspec
 
 from fleet.addons.robots.message_log import MessageLog, place_of
-from fleet.addons.robots.programs import Programs, some
+from fleet.addons.robots.programs import Programs
 from fleet.analysis.robot_addresses import lines
 from fleet.errors import FleetError, RunBroken, StoppedError
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.directory import RunDirectory
+from fleet.execution.notes import nothing_came, some
 from fleet.execution.operator import Operator
 from fleet.execution.runner import Closing
 from fleet.processes.children import Children, Exit, describe_exit
@@ -383,7 +384,7 @@ class RelayRun:
         if not sent:
             return ["no program sent anything through this network: do they reach each other without it, by addresses "
                     "of their own or by multicast?"]  # fmt: skip
-        return [f"nothing came from {some(mute)}, and no packet of theirs was delayed or lost"]
+        return [nothing_came(mute)]
 
     def _frames(self, *, whole: bool = False) -> None:
         """Write the frames up to where relay and programs have told everything. `whole`: up to the end of the run."""

@@ -97,16 +97,16 @@ class FailureFolder:
         path = self.path / failure.file
         if on_wall_clock(scenario):  # whose log never comes out the same again
             failure.digest = ""
-        failure.paste = self.paste(failure, of_nodes=bool(scenario.nodes))
         self._write(path, scenario.to_yaml().encode())
+        failure.paste = self.paste(failure)
         self.update([*(one for one in self.failures() if one.file != failure.file), failure])
         return failure
 
-    def paste(self, failure: FoundFailure, *, of_nodes: bool = True) -> str:
-        """The line that runs a failure, with what comes of it. `of_nodes`: of the wall clock, it is a file of nodes."""
+    def paste(self, failure: FoundFailure) -> str:
+        """The line that runs a failure, with what comes of it."""
         verdict = f"fails {failure.check}" if failure.expected == "fail" else "passes"
         if not failure.digest:  # of programs on the wall clock
-            verb = "netem" if of_nodes else "run"
+            verb = "netem" if self.load(failure, imports=False).nodes else "run"
             return f"fleet {verb} {self.path / failure.file} --seed {failure.seed}  # {verdict}"
         return f"fleet run {self.path / failure.file} --seed {failure.seed}  # {verdict}, sha256 {failure.digest[:16]}"
 

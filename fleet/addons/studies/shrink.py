@@ -19,6 +19,7 @@ from itertools import pairwise
 from math import inf, isfinite
 from typing import Any, NamedTuple, TypeVar
 
+from agents.controllers import laws
 from fleet.addons.studies.engine import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import NO_MODULES, Modules
@@ -37,6 +38,7 @@ from fleet.scenario.schema.programs import DONE
 from fleet.scenario.sections.node_names import numbered_values
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from netem.parsing import NUMBER
+from world.plugins.loading import unit_file
 
 MOST_ROUNDS = 5  # over everything, and over each number
 _SHARES = (Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(9, 10))  # of a number that is made less
@@ -254,20 +256,12 @@ def are_told(scenario: Scenario) -> bool:
     """Whether programs or laws know how many vehicles there are: programs may, and a law that has the number, or a list
     of as many, among its parameters. Then a fleet without some of them is another one.
     """
-    if scenario.nodes or scenario.spec.names:
+    every = [each for its in scenario.controls for each in laws(its).items()]
+    if scenario.names or any(unit_file(kind, law.name) for kind, law in every):
         return True
-    laws = [
-        law
-        for its in scenario.controls
-        for law in (its.agent, its.controller, its.guidance_law, its.tracking_law)
-        if law is not None
-    ]
-    told = (value for law in laws for value in law.parameters.values())
-    return any(law.name.startswith("program:") for law in laws) or any(_tells(v, scenario.vehicles) for v in told)
-
-
-def _tells(value: Any, count: int) -> bool:
-    return (type(value) is int and value == count) or (isinstance(value, list) and len(value) == count)
+    told = [value for _, law in every for value in law.parameters.values()]
+    counts = [len(each) if isinstance(each, list) else each for each in told]
+    return any(type(count) is int and count == scenario.vehicles for count in counts)
 
 
 def tree_of(scenario: Scenario) -> Tree:

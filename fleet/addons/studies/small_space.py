@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Sequence
-from itertools import combinations, product
+from itertools import combinations, islice, product
 from math import comb, inf
 from typing import Any, NamedTuple
 
@@ -49,11 +49,14 @@ class Space(NamedTuple):
             for at, lasts, (kind, target) in product(self.begins_ns, self.lasts_ns, targets)
         ]
 
+    def count(self, vehicles: int) -> int:
+        """How many single faults there are. They are counted, and not made: a space may be far too large."""
+        targets = sum(2 ** (vehicles - 1) - 1 if kind == "partition" else vehicles for kind in self.kinds)
+        return len(self.begins_ns) * len(self.lasts_ns) * targets
+
     def size(self, vehicles: int) -> int:
         """How many members it has, with the one that has no fault."""
-        targets = sum(2 ** (vehicles - 1) - 1 if kind == "partition" else vehicles for kind in self.kinds)
-        count = len(self.begins_ns) * len(self.lasts_ns) * targets
-        return sum(comb(count, k) for k in range(self.most + 1))
+        return sum(comb(self.count(vehicles), k) for k in range(self.most + 1))
 
     def members(self, vehicles: int) -> Iterator[tuple[Fault, ...]]:
         """Every set of faults, the smallest first."""
@@ -143,12 +146,12 @@ def run_all(
     """Run members of a space until one fails a check, or all were made.
 
     Args:
-        scenario: whose faults they are added to; its nemesis is left out.
-        space: the space.
+        scenario: is run with its own faults and those of a member. Its nemesis is left out.
+        space: has the members.
         engine: makes the runs.
-        on_progress: called with the number of runs so far.
-        check: only this one counts; None: any that the scenario states.
-        modules: that may run besides installed ones.
+        on_progress: gets the number of runs so far.
+        check: must fail. None: any check that the scenario states.
+        modules: may run besides installed ones.
 
     Raises:
         StudyError: there is no such check, or the space has no room in the run.
@@ -168,10 +171,8 @@ def run_all(
         for number, faults in enumerate(space.members(scenario.vehicles)):
             if failed:
                 return
-            text = text_of(faults)
-            yield Task(
-                run_key(text), number, scenario.seed, scenario.name, text, inf, modules, bare=True
-            )  # the point is the number of the member
+            text, seed = text_of(faults), scenario.seed
+            yield Task(run_key(text), number, seed, scenario.name, text, inf, modules, bare=True)
 
     def take(made: list[Row]) -> None:
         for row in made:
@@ -188,7 +189,7 @@ def run_all(
     first = min(failed, default=None)
     least, what = None, ""
     if first is not None:
-        faults = next(each for number, each in enumerate(space.members(scenario.vehicles)) if number == first)
+        faults = next(islice(space.members(scenario.vehicles), first, None))
         least, what = parse_scenario(text_of(faults), scenario.name), _failing(rows[first], check, unstated)[0]
     size = space.size(scenario.vehicles)
     return WholeSpace(size, len(judged), len(lost), lost[0].reason if lost else "", least, what)

@@ -48,6 +48,19 @@ while True:
 """
 
 
+def join_file(run: LiveRun) -> Path:
+    """The file with which agent 2 joins a run, when it is there."""
+    file = run.out / "latest" / "join-2.json"
+    wait_for(lambda: run.over or file.exists(), LIMIT_S, "the join file")
+    assert not run.over, run.printed
+    return file
+
+
+def assert_repeats(run: LiveRun) -> None:
+    checked = invoke("verify", run.directory, "--trust")
+    assert checked.exit_code == 0 and "vehicle 2 is external" in checked.output, checked.output
+
+
 def test_rules_are_read_or_refused_in_words() -> None:
     assert UdpRule.of("9000=auv.local:9100") == (9000, "auv.local", 9100)
     for wrong in ("9000", "9000=9100", "x=h:1", "0=h:1", "9000=h:70000", "=h:1", "9000=:1"):
@@ -166,8 +179,7 @@ def test_a_real_program_takes_part_in_a_run_that_repeats(tmp_path: Path, monkeyp
                 assert "of the real programs 3 messages went into the network" in agent.printed
         lines = (run.directory / "log" / "agent-1.log").read_text()
         assert lines.count("real pong") >= 2
-    checked = invoke("verify", run.directory, "--trust")
-    assert checked.exit_code == 0 and "vehicle 2 is external" in checked.output, checked.output
+    assert_repeats(run)
 
 
 BUOY = """
@@ -206,9 +218,7 @@ def test_a_real_driver_has_the_modem_of_a_vehicle_in_the_one_water(
     )
     run = LiveRun(tmp_path / "runs", str(tmp_path / "water.yaml"), "--speed", "1", "--trust")
     with run:
-        file = run.out / "latest" / "join-2.json"
-        wait_for(lambda: run.over or file.exists(), LIMIT_S, "the join file")
-        assert not run.over, run.printed
+        file = join_file(run)
         with Command("agent", "--join", file, "--modem", f"micromodem={port}") as agent:
             wait_for(lambda: "real programs open the modem (micromodem) at" in agent.printed, LIMIT_S, "the port")
             with socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S) as driver:
@@ -221,8 +231,7 @@ def test_a_real_driver_has_the_modem_of_a_vehicle_in_the_one_water(
             assert run.status(LIMIT_S) == 0, run.printed
     assert b"$CAMPR,1,2,0.2000*" in text
     assert "heard a range request" in (run.directory / "log" / "agent-1.log").read_text()
-    checked = invoke("verify", run.directory, "--trust")
-    assert checked.exit_code == 0 and "vehicle 2 is external" in checked.output, checked.output
+    assert_repeats(run)
 
 
 ANSWERS = """

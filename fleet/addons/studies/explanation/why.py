@@ -179,7 +179,7 @@ class Explanation:
             self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others,
             self._differs, next((one.passed for one in self._before if one.check == verdict.check), None), begin,
             failed_s, at_s, then.faults, then.sent, then.lost, then.gaps, then.vehicles, said_before(log, at_s),
-            list(self.scenario.nodes or self.scenario.spec.names or ()), found, self._notes,
+            list(self.scenario.names), found, self._notes,
         )  # fmt: skip
 
     def _when(self, log: Log) -> tuple[float, float, list[int]]:

@@ -54,7 +54,7 @@ def search_space(
 
     space = space_of(text)
     size, limit = space.size(scenario.vehicles), MOST_MEMBERS if most is None else most
-    words = f"{size:,} runs: every set of up to {space.most} of {len(space.faults(scenario.vehicles)):,} faults"
+    words = f"{size:,} runs: every set of up to {space.most} of {space.count(scenario.vehicles):,} faults"
     if size > limit:
         raise StudyError(f"{words}, and {limit:,g} are made at most: --budget {size} makes them all")
     least = None

@@ -86,12 +86,15 @@ class LockstepModems:
             due = min(until, max(tick + 1, -(-at_ns // self._config.tick_ns)))
             told.setdefault((i, due), []).append(event)
         for packet in arrived:
-            if packet.dst in self._on and not packet.corrupted and packet.payload.startswith(MARK):
-                told.setdefault((packet.dst, packet.due_tick), []).append(self._news.arrived(packet, places))
+            # A damaged frame may have lost its mark, so there it counts who said it.
+            of_a_modem = packet.src in self._on if packet.corrupted else packet.payload.startswith(MARK)
+            if packet.dst in self._on and of_a_modem:
+                news = self._news.damaged(packet) if packet.corrupted else self._news.arrived(packet, places)
+                told.setdefault((packet.dst, packet.due_tick), []).append(news)
         for (i, due), events in told.items():
             if i in inboxes:
-                news = Delivery(due, tick, i, 0, 0, NEWS + _encode(events))
-                inboxes[i] = tuple(sorted((news, *inboxes[i]), key=lambda each: each.due_tick))
+                first = Delivery(due, tick, i, 0, 0, NEWS + _encode(events))
+                inboxes[i] = tuple(sorted((first, *inboxes[i]), key=lambda each: each.due_tick))
         if self._names:
             under_way = self._water.under_way()
             self._names = {each: name for each, name in self._names.items() if each in under_way}

@@ -148,7 +148,7 @@ class ModemNews:
             del self._bursts[next(iter(self._bursts))]
 
     def arrived(self, packet: PendingPacket, places: Mapping[int, Place]) -> FrameArrived:
-        """The news of a packet that has arrived. `places`: of the vehicles that are known [m, NED]."""
+        """The news of a packet that has arrived whole. `places`: of the vehicles that are known [m, NED]."""
         src, dst, seq = packet.src, packet.dst, packet.seq
         end_ns = packet.sent_tick * self._tick_ns + packet.delay_ns
         sent_ns, airtime_ns = end_ns, 0
@@ -158,6 +158,11 @@ class ModemNews:
         here, there = places.get(dst), places.get(src)
         away = None if here is None or there is None else tuple(b - a for a, b in zip(here, there, strict=True))[:3]
         return FrameArrived(src, seq, packet.copy, sent_ns, begin_ns, end_ns, self.level(src, seq, dst), away)
+
+    def damaged(self, packet: PendingPacket) -> Spoiled:
+        """The news of a packet that has arrived damaged: modems have checksums."""
+        at_ns = packet.due_tick * self._tick_ns
+        return Spoiled(Cause.SNR, at_ns, self.level(packet.src, packet.seq, packet.dst))
 
     def level(self, src: int, seq: int, dst: int) -> Level:
         """How strong the transmission of a payload is at a vehicle; UNKNOWN: it is forgotten."""

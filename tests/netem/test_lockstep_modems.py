@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netem.cause import Cause
+from netem.condition import Condition
 from netem.config import NetemConfig
 from netem.endpoint import HeardFrame, Level, ModemRequest, SentFrame, Sound
 from netem.faults import NetFault
@@ -28,6 +29,9 @@ MODEM = Modem(800.0, 0.0, 25e3, 4e3, 190.0, 0.0, 3000.0, 6000.0, 64, 6.0, 10.0, 
 PLACES = {1: (0.0, 0.0, 10.0), 2: (150.0, 0.0, 10.0), 3: (0.0, 600.0, 20.0)}
 LINKS = tuple((j, i) for j in PLACES for i in PLACES if i != j)
 WATER = AcousticConfig(MODEM, buffer=2, refuses=True)
+
+
+NOISE = NetFault("noise", 0, None, "link", links=LINKS, condition=Condition(corrupt=0.4))
 
 
 def config(faults: tuple[NetFault, ...] = ()) -> NetemConfig:
@@ -81,13 +85,15 @@ def of_relay(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]]:
         for due in list(relay.handed(now)):
             if (frame := relay.frame_of(due)) is not None:
                 arrived[due.dst].append(frame)
+            else:  # as a relay's process does
+                ears[due.dst].spoiled(Cause.SNR, due.due_ns, relay.level_of(due))
             relay.settle(due, now, delivered=True)
     return {i: [*ears[i].news, *arrived[i]] for i in PLACES}
 
 
 def of_lockstep(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]]:
     """The same of agents in lockstep."""
-    netem = Netem(config(faults))
+    netem, whole = Netem(config(faults)), set[bytes]()
     news: dict[int, list[Any]] = {i: [] for i in PLACES}
     arrived: dict[int, list[Any]] = {i: [] for i in PLACES}
     for tick in range(END):
@@ -96,6 +102,7 @@ def of_lockstep(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]
             if at == tick:
                 begin = None if later is None else (tick + later) * TICK_NS
                 sent[src] += (ModemFrame(name, src, 0, 7, payload, b"head", begin).packed(),)
+                whole |= {*sent[src]}
         for i, inbox in netem.exchange(tick, sent, PLACES).inboxes.items():
             known: dict[tuple[int, int, int], FrameArrived] = {}
             for delivery in inbox:
@@ -107,7 +114,7 @@ def of_lockstep(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]
                     }
                     news[i] += [each for each in events if not isinstance(each, FrameArrived | SwitchedOn)]
                     assert tick > 0 or isinstance(events[0], SwitchedOn)
-                else:
+                elif delivery.payload in whole:
                     heard, frame = known[delivery.src, delivery.seq, delivery.copy], read_frame(delivery.payload)
                     assert frame is not None and delivery.due_tick == -(-heard.end_ns // TICK_NS)
                     arrived[i].append(
@@ -119,10 +126,20 @@ def of_lockstep(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]
     return {i: [*news[i], *arrived[i]] for i in PLACES}
 
 
-@given(SAID, st.booleans())
-def test_modems_learn_in_lockstep_what_a_relay_tells_them(said: Said, muted: bool) -> None:
+@given(SAID, st.booleans(), st.booleans())
+def test_modems_learn_in_lockstep_what_a_relay_tells_them(said: Said, muted: bool, damaged: bool) -> None:
     faults = (NetFault("quiet", 20, 40, "mute", vehicles=frozenset({2})),) if muted else ()
+    faults = (NOISE, *faults) if damaged else faults
     assert of_lockstep(said, faults) == of_relay(said, faults)
+
+
+def test_a_damaged_frame_is_told_to_who_hears_it() -> None:
+    """It was dropped without a word."""
+    said: Said = [(3 + 20 * n, 1, b"8 bytes!", None) for n in range(6)]
+    heard = of_lockstep(said, (NOISE,))[2]
+    causes = [each.cause for each in heard if isinstance(each, Spoiled)]
+    assert causes and set(causes) == {Cause.SNR}
+    assert len(causes) + sum(isinstance(each, HeardFrame) for each in heard) == len(said)
 
 
 def test_a_range_of_times_is_that_of_the_way() -> None:

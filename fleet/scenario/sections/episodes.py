@@ -16,9 +16,10 @@ a third of the episodes all faults cut off one vehicle each. For these the chanc
 faults, in any order, must get the right vehicles and units. (C. Dragoi and others, "Testing consensus implementations
 using communication closure", OOPSLA 2020, has the bound for a uniform choice of process and round.)
 
-Another third are *splits*: half of the fleet is cut off from the others. In every second one a vehicle changes sides
-later. One more fault, of another kind, begins within a unit of the last of these partitions. It concerns, half of the
-time, the vehicle that changed sides; or one of the half, or all of it.
+Another third are *splits*: half of the fleet is cut off from the others. In 60 % of them a vehicle changes sides
+within a unit; then in 75 % a short fault of another kind befalls this vehicle at that very moment. Otherwise
+one more fault begins within a unit of the last of these partitions, at the vehicle that changed sides, at one of the
+half, at any, or at the whole half.
 
 With `watch` a fault in three waits until an agent reports something else in one of these signals, or more than a
 number (`control.leads above 0`): its target is then this agent, or all others. It waits for a unit at most, and lasts a
@@ -51,8 +52,11 @@ PARAMETERS = ("lease_s", "forget_after_s", "silence_s")  # of agents: after such
 _ROUNDS = 10  # length of a unit if no parameter states one
 _ISOLATED = 1.0 / 3.0  # share of the episodes in which each fault cuts off one vehicle
 _SPLIT = 1.0 / 3.0  # share of the episodes in which the fleet is in two halves
+_MOVING = 0.6  # share of the splits in which a vehicle changes sides
+_AT_ONCE = 0.75  # share of these in which something befalls it at that moment: three right faults are the rarest
 _ON, _COUNT, _ISOLATES, _KIND, _UNIT, _EIGHTH, _LENGTH, _TARGET, _WHO, _FORM = range(10)
 _GOOD, _WATCH, _WAIT, _NTH, _THEN, _MOVES = range(10, 16)
+_LINK = _WAIT  # whatever waits has links of its own
 _PURPOSES = 16
 _OF_EPISODE = 10  # numbers of draws that an episode may use
 
@@ -195,17 +199,27 @@ class _Drawn:
         draws, n, end = self._draws, self._ground.spec.vehicles, begin + UNITS * self._unit
         drawn = self._shuffled(k)
         side, who = sorted(drawn[: max(1, n // 2)]), drawn[draws.among(n, k, _NTH)]
-        at, moved = self._after(begin, draws.among(8 * UNITS, k, _EIGHTH)), sorted({*side} ^ {who})
-        lasts = self._length(k, end - at)
+        at, moved = self._after(begin, draws.among(8, k, _EIGHTH)), sorted({*side} ^ {who})
+        moves = 0 < len(moved) < n and draws.share(k, _MOVES) < _MOVING
+        lasts = end - at if draws.share(k, _GOOD) < 0.5 else self._length(k, end - at)
+        if moves:
+            lasts = max(self._ground.round_ns, self._after(0, 1 + draws.among(8, k, _UNIT)))
         self._add(k, self._body(k, "partition", side), at, lasts)
-        if 0 < len(moved) < n and draws.share(k, _MOVES) < 0.5 and at + lasts < end:
+        if moves:
             at, k, side = at + lasts, k + 1, moved
             self._add(k, self._body(k, "partition", side), at, end - at)
-        if kinds:
-            k += 1
+        if not kinds:
+            return
+        k += 1
+        kind, length = kinds[draws.among(len(kinds), k, _KIND)], 0
+        if moves and draws.share(k, _THEN) < _AT_ONCE:
+            # It comes to the other side with an empty memory only if it brings nothing along: not a round later.
+            target = [who]
+            length = max(self._ground.round_ns, self._after(0, (0, 4)[draws.among(2, k, _LENGTH)]))
+        else:
             at = min(self._after(at, draws.among(8, k, _EIGHTH)), end - self._ground.round_ns)
-            target = ([who], [who], drawn[:1], side)[draws.among(4, k, _TARGET)]
-            self._add(k, self._body(k, kinds[draws.among(len(kinds), k, _KIND)], target), at, self._length(k, end - at))
+            target = ([who] if moves else drawn[:1], drawn[:1], [who], side)[draws.among(4, k, _TARGET)]
+        self._add(k, self._body(k, kind, target), at, min(length or self._length(k, end - at), end - at))
 
     def _after(self, begin: int, eighths: int) -> int:
         """The time some eighths of a unit after another one [ns], in whole ticks."""
@@ -248,15 +262,25 @@ class _Drawn:
                     kind: text if partition(text, spec.vehicles, spec.seed, "", links) else f"isolate:{links[0][0]}"
                 }
             case "hold" | "duplicate":
-                form = self._draws.among(4, k, _FORM)
-                one = who[self._draws.among(len(who), k, _NTH)]
-                out = any(src == one for src, _ in links)
-                into = any(dst == one for _, dst in links)
-                selector = "*" if not (out or into) else f"{one}->*" if out and (form % 2 or not into) else f"*->{one}"
+                form = self._draws.among(8, k, _FORM)
+                selector = self._links_of(k, who[self._draws.among(len(who), k, _NTH)], form)
                 if kind == "duplicate":
                     return {kind: {"links": selector, "after": f"{self._unit} ns"}}
-                return {kind: {"links": selector, "order": "reversed" if form > 1 else "sent"}}
+                return {kind: {"links": selector, "order": "reversed" if form & 2 else "sent"}}
         return {kind: numbers}
+
+    def _links_of(self, k: int, one: int, form: int) -> str:
+        """Links of a vehicle, as a selector: all that go out or come in; or a single one of these."""
+        links = self._ground.links
+        out, into = [link for link in links if link[0] == one], [link for link in links if link[1] == one]
+        if not (out or into):
+            return "*"
+        goes_out = bool(out) and (form & 1 or not into)
+        if form & 4:
+            some = out if goes_out else into
+            src, dst = some[self._draws.among(len(some), k, _LINK)]
+            return f"{src}->{dst}"
+        return f"{one}->*" if goes_out else f"*->{one}"
 
     def _add(self, k: int, body: dict[str, Any], at: int, lasts: int | None) -> None:
         self.of_faults.update(body.keys())

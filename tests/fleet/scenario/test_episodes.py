@@ -100,15 +100,28 @@ def test_every_kind_and_every_size_of_target_is_drawn() -> None:
     assert {fault.hold.order for fault in drawn if fault.hold} == {"sent", "reversed"}
 
 
-def test_a_vehicle_changes_sides_and_then_something_happens_to_it() -> None:
-    """Three faults that belong together, as one needs who looks for a lease that is forgotten at a restart."""
+def test_a_vehicle_changes_sides_and_restarts_at_that_moment() -> None:
+    """Three faults that belong together, as one needs who looks for a lease that is forgotten at a restart: a round
+    later the vehicle has told its new side what it knew.
+    """
     found = 0
     for seed in range(200):
         faults = moored(f"seed={seed}", "nemesis.watch=null").spec.faults
         for first, then, last in zip(faults, faults[1:], faults[2:], strict=False):
             if first.partition and then.partition and first.for_ and first.at + first.for_ == then.at and last.kill:
                 before, after = ({*str(fault.partition).partition(" ")[0].split(",")} for fault in (first, then))
-                found += before ^ after == {str(last.kill)}
+                found += before ^ after == {str(last.kill)} and last.at == then.at and (last.for_ or 9 * S) <= S
+    assert found >= 5
+
+
+def test_one_link_into_a_vehicle_is_held_before_the_vehicle_goes_mute() -> None:
+    """A lease that is counted from the answer needs it: with all links held the vehicle would not lead."""
+    found = 0
+    for seed in range(400):
+        faults = moored(f"seed={seed}", "nemesis.watch=null", "nemesis.pick=[hold, mute]").spec.faults
+        for first, then in zip(faults, faults[1:], strict=False):
+            src, _, dst = str(first.hold.links if first.hold else "").partition("->")
+            found += src.isdigit() and dst == str(then.mute)
     assert found >= 5
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import permutations, product
+from itertools import pairwise, permutations, product
 from math import sqrt
 
 import pytest
@@ -119,7 +119,7 @@ def test_one_link_into_a_vehicle_is_held_before_the_vehicle_goes_mute() -> None:
     found = 0
     for seed in range(400):
         faults = moored(f"seed={seed}", "nemesis.watch=null", "nemesis.pick=[hold, mute]").spec.faults
-        for first, then in zip(faults, faults[1:], strict=False):
+        for first, then in pairwise(faults):
             src, _, dst = str(first.hold.links if first.hold else "").partition("->")
             found += src.isdigit() and dst == str(then.mute)
     assert found >= 5

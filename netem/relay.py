@@ -21,7 +21,7 @@ from netem.cause import Cause
 from netem.condition import Link
 from netem.config import NetemConfig
 from netem.correlation import lost_share
-from netem.endpoint import UNKNOWN, HeardFrame, Level, ModemEndpoint
+from netem.endpoint import HeardFrame, ModemEndpoint
 from netem.faults import ActiveFaults, active_faults, release_tick
 from netem.histogram import Histogram
 from netem.limits import LINK_UNDER_WAY
@@ -368,9 +368,12 @@ class Relay:
             request.src, request.to, request.what, due.payload, request.head, self._begin_ns
         )
 
-    def level_of(self, due: DueMessage) -> Level:
-        """How strong the transmission of a message that is due was; UNKNOWN: it is forgotten."""
-        return UNKNOWN if self._news is None else self._news.level(due.packet.src, due.packet.seq, due.dst)
+    def hand_to(self, modem: ModemEndpoint, due: DueMessage) -> None:
+        """Hand a message that is due to a modem: its frame, or the news that it is damaged."""
+        if (frame := self.frame_of(due)) is not None:
+            modem.heard(frame)
+        elif self._news is not None:
+            tell(modem, self._news.damaged(due.packet), self._begin_ns)
 
     def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""

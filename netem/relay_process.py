@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import Struct
 
-from netem.cause import Cause
 from netem.discovery import Discovery
 from netem.endpoint import ModemEndpoint, ModemRequest, Sea
 from netem.errors import BusError
@@ -368,10 +367,7 @@ class RelayProcess:
 
     def _heard(self, due: DueMessage, modem: ModemEndpoint, relay: Relay) -> None:
         """Give a frame to a modem that programs open; it is there then, whether one listens or not."""
-        if (frame := relay.frame_of(due)) is None:
-            modem.spoiled(Cause.SNR, due.due_ns, relay.level_of(due))
-        else:
-            modem.heard(frame)
+        relay.hand_to(modem, due)
         at_ns = monotonic_ns()
         relay.late.add(at_ns - due.due_ns)
         self._has_ended(due, at_ns, delivered=True)

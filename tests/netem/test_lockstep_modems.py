@@ -44,6 +44,10 @@ class Ear:
     def __init__(self, number: int) -> None:
         self.number = self.address = number
         self.news: list[Any] = []
+        self.frames: list[HeardFrame] = []
+
+    def heard(self, frame: HeardFrame) -> None:
+        self.frames.append(frame)
 
     def sent(self, frame: SentFrame) -> None:
         self.news.append(Began(frame.tag, frame.at_ns, frame.airtime_ns))
@@ -74,7 +78,6 @@ def of_relay(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]]:
     ears = {i: Ear(i) for i in PLACES}
     relay = Relay(config(faults), 0, modems=ears)  # type: ignore[arg-type]
     relay.places.update(PLACES)
-    arrived: dict[int, list[Any]] = {i: [] for i in PLACES}
     for tick in range(END):
         now = tick * TICK_NS
         for name, (at, src, payload, later) in enumerate(said):
@@ -83,12 +86,9 @@ def of_relay(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]]:
                 what = ModemRequest(src, src, 0, 7, payload, name, b"head", begin)
                 relay.take(RobotMessage(src, MODEM_MESSAGE, "modem", payload, now, what))
         for due in list(relay.handed(now)):
-            if (frame := relay.frame_of(due)) is not None:
-                arrived[due.dst].append(frame)
-            else:  # as a relay's process does
-                ears[due.dst].spoiled(Cause.SNR, due.due_ns, relay.level_of(due))
+            relay.hand_to(ears[due.dst], due)  # type: ignore[arg-type]
             relay.settle(due, now, delivered=True)
-    return {i: [*ears[i].news, *arrived[i]] for i in PLACES}
+    return {i: [*ears[i].news, *ears[i].frames] for i in PLACES}
 
 
 def of_lockstep(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]]:

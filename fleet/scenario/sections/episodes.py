@@ -1,4 +1,4 @@
-"""Episodes: a few faults in the protocol's own unit of time, and then a quiet time in which it may recover.
+"""Draws of episodes. An episode has a few faults in the protocol's own unit of time, and then time to recover.
 
 | what | how it is drawn |
 |---|---|
@@ -16,10 +16,10 @@ a third of the episodes all faults cut off one vehicle each. For these the chanc
 faults, in any order, must get the right vehicles and units. (C. Dragoi and others, "Testing consensus implementations
 using communication closure", OOPSLA 2020, has the bound for a uniform choice of process and round.)
 
-Another third are *splits*: half of the fleet is cut off from the others. In 60 % of them a vehicle changes sides
-within a unit; then in 75 % a short fault of another kind befalls this vehicle at that very moment. Otherwise
-one more fault begins within a unit of the last of these partitions, at the vehicle that changed sides, at one of the
-half, at any, or at the whole half.
+Another third are *splits*: half of the fleet is cut off from the others. In 60 % of the splits a vehicle changes sides
+within a unit. In 75 % of these a short fault of another kind befalls this vehicle at that moment. In all other splits
+a fault of another kind begins within a unit of the last partition. Its target is the vehicle that changed sides, one
+vehicle of the half, any vehicle, or the whole half.
 
 With `watch` a fault in three waits until an agent reports something else in one of these signals, or more than a
 number (`control.leads above 0`): its target is then this agent, or all others. It waits for a unit at most, and lasts a
@@ -201,9 +201,10 @@ class _Drawn:
         side, who = sorted(drawn[: max(1, n // 2)]), drawn[draws.among(n, k, _NTH)]
         at, moved = self._after(begin, draws.among(8, k, _EIGHTH)), sorted({*side} ^ {who})
         moves = 0 < len(moved) < n and draws.share(k, _MOVES) < _MOVING
-        lasts = end - at if draws.share(k, _GOOD) < 0.5 else self._length(k, end - at)
         if moves:
             lasts = max(self._ground.round_ns, self._after(0, 1 + draws.among(8, k, _UNIT)))
+        else:
+            lasts = end - at if draws.share(k, _GOOD) < 0.5 else self._length(k, end - at)
         self._add(k, self._body(k, "partition", side), at, lasts)
         if moves:
             at, k, side = at + lasts, k + 1, moved
@@ -211,15 +212,16 @@ class _Drawn:
         if not kinds:
             return
         k += 1
-        kind, length = kinds[draws.among(len(kinds), k, _KIND)], 0
+        kind = kinds[draws.among(len(kinds), k, _KIND)]
         if moves and draws.share(k, _THEN) < _AT_ONCE:
-            # It comes to the other side with an empty memory only if it brings nothing along: not a round later.
+            # Not a round later: by then it has told the other side what it knew, so its empty memory does no harm.
             target = [who]
-            length = max(self._ground.round_ns, self._after(0, (0, 4)[draws.among(2, k, _LENGTH)]))
+            lasts = min(max(self._ground.round_ns, self._after(0, 4 * draws.among(2, k, _LENGTH))), end - at)
         else:
             at = min(self._after(at, draws.among(8, k, _EIGHTH)), end - self._ground.round_ns)
             target = ([who] if moves else drawn[:1], drawn[:1], [who], side)[draws.among(4, k, _TARGET)]
-        self._add(k, self._body(k, kind, target), at, min(length or self._length(k, end - at), end - at))
+            lasts = self._length(k, end - at)
+        self._add(k, self._body(k, kind, target), at, lasts)
 
     def _after(self, begin: int, eighths: int) -> int:
         """The time some eighths of a unit after another one [ns], in whole ticks."""
@@ -270,7 +272,7 @@ class _Drawn:
         return {kind: numbers}
 
     def _links_of(self, k: int, one: int, form: int) -> str:
-        """Links of a vehicle, as a selector: all that go out or come in; or a single one of these."""
+        """A selector of links of vehicle `one`. It selects all that go out, all that come in, or one of these."""
         links = self._ground.links
         out, into = [link for link in links if link[0] == one], [link for link in links if link[1] == one]
         if not (out or into):

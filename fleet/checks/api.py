@@ -44,6 +44,7 @@ class Fault(NamedTuple):
     id: str
     what: str  # in the words of a scenario: kill 3
     since: float  # s
+    entry: str = ""  # as data, in JSON: {"kill": "3"}
 
 
 class Facts(NamedTuple):

@@ -6,7 +6,6 @@ can name a message that arrives at the very tick of the failure.
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import isfinite
@@ -19,15 +18,14 @@ from fleet.checks.python_check import RunningPythonCheck, SeenVehicle, facts_of,
 from fleet.checks.signal_check import RunningSignalCheck
 from fleet.checks.values import Error, FrameValues, TickValues
 from fleet.logs.payload_kinds import STATE, kind_of
-from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.result.verdict import LastMessage, Moment, Verdict
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.node_names import named, numbered_words
+from fleet.scenario.sections.fault_entry import DIVERGED, entry_kind, entry_vehicles, words_of
+from fleet.scenario.sections.node_names import named
 from fleet.scenario.sections.node_signals import node_signals
 from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, VehicleSignals
 from fleet.scenario.sections.timeline import Event
-from fleet.scenario.sections.vehicle_events import DIVERGED
 from netem.cause import Cause
 from netem.condition import Link
 from netem.wire.messages import Command, Fate, Frame
@@ -56,8 +54,8 @@ class OwnChecks:
                 self._python.append(RunningPythonCheck(name, key, (checks.python or {})[key][place], facts, budget_s))
         self._moments: dict[str, Moment] = {}  # at which checks failed, by name
         self._active: dict[str, Fault] = {}
-        self._dead: dict[str, list[int]] = {}  # by fault, whose agents it ended
-        self._paused: dict[str, list[int]] = {}
+        self._dead: dict[str, Sequence[int]] = {}  # by fault, whose agents it ended
+        self._paused: dict[str, Sequence[int]] = {}
         self._fates: list[Fate] = []  # since the tick before; only for checks in Python
         self._pending: TickValues | None = None
         self._now = begin
@@ -88,14 +86,15 @@ class OwnChecks:
         """A fault begins or ends; comes before the values of its tick."""
         if event.action == "ends" and event.tick >= self._last:
             return  # with the run: at its last tick it is still there, and the agent that it ended is not
-        if self._scenario.nodes:  # checks know vehicles by their numbers
-            event = dataclasses.replace(event, what=numbered_words(event.what, self._scenario.nodes))
         self._judge()
         if event.action == "begins":
             if event.is_fault:
-                self._active[event.fault] = Fault(event.fault, event.what, event.tick * self._tick_s)
-            self._dead[event.fault] = _concerned(event.what, ("kill", DIVERGED))
-            self._paused[event.fault] = _concerned(event.what, ("pause",))
+                # Checks know vehicles by their numbers.
+                what = words_of(event.entry) if event.entry else event.what
+                self._active[event.fault] = Fault(event.fault, what, event.tick * self._tick_s, event.entry)
+            kind, who = entry_kind(event.entry), entry_vehicles(event.entry)
+            self._dead[event.fault] = who if kind in ("kill", DIVERGED) else ()
+            self._paused[event.fault] = who if kind == "pause" else ()
         else:
             for known in (self._active, self._dead, self._paused):
                 known.pop(event.fault, None)
@@ -187,17 +186,6 @@ def reported(scenario: Scenario, i: int) -> VehicleSignals:
 
 def _all(by_fault: Mapping[str, Sequence[int]]) -> set[int]:
     return {i for vehicles in by_fault.values() for i in vehicles}
-
-
-def _concerned(what: str, kinds: Collection[str]) -> list[int]:
-    """The vehicles of a fault or an event that is of one of these kinds."""
-    kind, _, vehicles = what.partition(" ")
-    if kind not in kinds:
-        return []
-    try:
-        return vehicle_numbers(vehicles)
-    except QuantityError:  # the log is of another version
-        return []
 
 
 class LastMessages:

@@ -6,10 +6,9 @@ from collections.abc import Iterable
 
 from fleet.checks.api import Facts, Fault, Tick
 from fleet.scenario.faults.kind import Part, Surroundings
-from fleet.scenario.faults.kinds import KINDS
-from fleet.scenario.schema.faults import FaultSection
+from fleet.scenario.sections.fault_entry import fault_of
 from fleet.scenario.sections.graph import reached
-from fleet.scenario.text.fault_words import read_fault
+from fleet.scenario.text.fault_words import entry_of_words
 from netem.faults import NetFault, active_faults
 from netem.wire.messages import TimedFault, WorldFault
 
@@ -18,11 +17,10 @@ def _parts(fault: Fault, around: Surroundings) -> list[Part]:
     """What the cores do during a fault of the log. Nothing for a kill, since a tick itself says who has an agent, and
     nothing for an event such as a tumble.
     """
-    kind = KINDS.get(fault.what.partition(" ")[0])
-    if kind is None or kind.name == "kill":
+    found = fault_of(fault.entry or entry_of_words(fault.what))
+    if found is None or found.kind.name == "kill":
         return []
-    section = FaultSection.model_validate(read_fault(fault.what) | {"at": "0 s"})
-    return kind.parts(section.values, TimedFault(fault.id, 0, None), around)
+    return found.kind.parts(found.values, TimedFault(fault.id, 0, None), around)
 
 
 class ReachableGroups:

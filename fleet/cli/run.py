@@ -65,7 +65,6 @@ def run(
       fleet run paper --fault 'at 20s for 10s partition halves'
       D=$(fleet run paper --in-process --quiet) && fleet plot $D
       fleet run paper --json > result.json
-      fleet run paper --clock real --speed 2
       fleet run paper --speed 1 --view
       fleet run --from runs/latest@20s --set controller=bsmc
     """
@@ -89,6 +88,8 @@ def run(
             say(f"warning: {warning}", err=True)
     beside = [each for each in companions if each.asked]
     asked = _checked(loaded, start, how, beside, terminal)
+    if asked.clock is Clock.REAL:  # also with --quiet, which is for progress and not for what will be gone
+        say(f"warning: {_DEPRECATED_CLOCK}", err=True)
     if not how.quiet:
         _tell_plan(loaded, start, in_process=asked.in_process)
     execute_and_print(loaded, asked, beside, terminal, junit)
@@ -203,6 +204,12 @@ def _load(
     if found.nodes and not only_shown:  # here, a file of programs is one in simulated time
         return load_scenario(scenario, [*changes, Override(SET, "clock=simulated", "--clock simulated")]), None
     return found, None
+
+
+_DEPRECATED_CLOCK = (
+    "--clock real is deprecated, and the next major version may remove it: use --speed 1 to watch a run as it goes, "
+    "and fleet netem for programs of your own on the wall clock"
+)
 
 
 def _check_clock(speed: float | None, clock: Clock, one_process: str) -> None:

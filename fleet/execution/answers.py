@@ -40,6 +40,7 @@ class FaultRow(Struct):
     to_s: To
     until_healed: UntilHealed
     state: Annotated[str, Meta(description="to come, active or over.")]
+    entry: Annotated[str, Meta(description="As in a scenario's faults, in JSON, with the numbers of vehicles.")] = ""
 
 
 class EventRow(VehicleEvents):
@@ -48,6 +49,7 @@ class EventRow(VehicleEvents):
     last_s: float
     lasts: bool
     id: Annotated[str, Meta(description="Id of the last one, as in the log.")]
+    entry: Annotated[str, Meta(description='As data, in JSON: `{"tumbled": "3"}`.')] = ""
 
     def __str__(self) -> str:
         """A line such as `tumbled 3: 10 times, first at 12.45 s, and still is`."""

@@ -40,7 +40,7 @@ from fleet.result.file import write_result
 from fleet.result.result import Published, Result, Status, Wall
 from fleet.result.timing import Punctual
 from fleet.scenario.programs import admit_programs
-from fleet.scenario.scenario import Scenario, timeline
+from fleet.scenario.scenario import Scenario, fault_line, timeline
 from fleet.scenario.sections.triggers import moments
 from fleet.terminal.progress import showing
 from fleet.terminal.status_line import StatusLine
@@ -83,9 +83,9 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     if scenario.spec.triggers:
         names = moments(scenario.spec.triggers, scenario.spec)
         scenario = resolve_triggers(scenario, options.start)
-        for name, begin_s, end_s, what in () if options.quiet else timeline(scenario):
-            if name in names:
-                text = f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name}), {names[name]}"
+        for fault in () if options.quiet else timeline(scenario):
+            if fault.id in names:
+                text = f"{fault_line(fault)}, {names[fault.id]}"
                 (terminal or Terminal(stderr=True)).print(text, markup=False, highlight=False, soft_wrap=True)
     if has_gateways(scenario):
         admit_programs(scenario.spec, scenario.reading.policy)

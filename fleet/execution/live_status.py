@@ -69,6 +69,7 @@ def event_rows(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
         {
             **asdict(row),
             "id": last[row.what].fault,
+            "entry": last[row.what].entry,
             "last_s": last[row.what].tick * scenario.tick_ns / 1e9,
             "lasts": last[row.what].fault not in ended,
         }

@@ -23,7 +23,8 @@ from fleet.recorder.journal import Journal
 from fleet.scenario.faults.kind import Kill, Part
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.sections.timeline import acts, begin_and_end, parts, with_end, words
+from fleet.scenario.sections.fault_entry import entry_of, words_of
+from fleet.scenario.sections.timeline import acts, begin_and_end, parts, with_end
 from netem.clock import Clock
 from netem.faults import NetFault
 from netem.wire.messages import WorldFault
@@ -43,13 +44,13 @@ class Operator:
     fleet: Fleet
     stopping: bool = False  # the operator asked for the end of the run
     faults: list[Part] = field(default_factory=list)  # scripted and injected
-    _words: dict[str, str] = field(default_factory=dict)
+    _entries: dict[str, str] = field(default_factory=dict)  # by id of the fault
     _checks: list[dict[str, Any]] = field(default_factory=list)  # as they stood when they were judged last
     _judge_next: float = 0.0  # [s] of the monotonic clock
 
     def __post_init__(self) -> None:
         self.faults = list(self.scenario.faults.parts)
-        self._words = {event.fault: event.what for event in self.scenario.faults.events}
+        self._entries = {event.fault: event.entry for event in self.scenario.faults.events}
 
     def handle(self, request: dict[str, Any]) -> dict[str, Any]:
         """The answer to one request; a refusal is an answer with `error`."""
@@ -111,12 +112,12 @@ class Operator:
         if tick >= self.scenario.ticks:
             raise RefusedError("the run is about to end", BROKEN)
         section = checked_fault(entry, tick, self.scenario)
-        name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._words)
-        if name in self._words:
+        name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._entries)
+        if name in self._entries:
             raise RefusedError(f"there is a fault {name} already")
         end = self.add(section, name)
         times = {"from_s": self._seconds(tick), "to_s": self._seconds(end), "until_healed": section.for_ is None}
-        return {"id": name, "what": words(section, self.scenario.nodes), **times}
+        return {"id": name, "what": words_of(self._entries[name], self.scenario.nodes), **times}
 
     def add(self, section: FaultSection, name: str) -> int:
         """Add a fault. Returns the tick of its end. The operator may heal it earlier."""
@@ -129,7 +130,7 @@ class Operator:
             if isinstance(part, Kill):
                 self.journal.tell_deaths(part.absences)
                 self.fleet.end_agents(part)
-        self._words[name] = words(section, scenario.nodes)
+        self._entries[name] = entry_of(section)
         begin, end = begin_and_end(found, section, scenario.ticks, scenario.nodes)
         self.journal.add_event(begin)
         self.journal.add_event(end)
@@ -232,16 +233,17 @@ class Operator:
         found: dict[str, dict[str, Any]] = {}
         for fault in self.faults:
             state = "active" if fault.active(now) else "over" if fault.begin < now else "to come"
-            found[fault.id] = self._row(fault.id, self._words[fault.id], fault.begin, fault.end, state)
+            found[fault.id] = self._row(fault.id, self._entries[fault.id], fault.begin, fault.end, state)
         for event in self.journal.deaths.values():
-            found[event.fault] = self._row(event.fault, event.what, event.tick, None, "active")
+            found[event.fault] = self._row(event.fault, event.entry, event.tick, None, "active")
         return list(found.values())
 
-    def _row(self, name: str, what: str, begin: int, end: int | None, state: str) -> dict[str, Any]:
+    def _row(self, name: str, entry: str, begin: int, end: int | None, state: str) -> dict[str, Any]:
         last = self.scenario.ticks
         to_s = self._seconds(last if end is None else min(end, last))
         times = {"from_s": self._seconds(begin), "to_s": to_s, "until_healed": end is None}
-        return {"id": name, "what": what, **times, "state": state, "active": state == "active"}
+        what = words_of(entry, self.scenario.nodes)
+        return {"id": name, "what": what, "entry": entry, **times, "state": state, "active": state == "active"}
 
     def _seconds(self, tick: int) -> float:
         return tick * self.scenario.tick_ns / 1e9

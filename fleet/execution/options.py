@@ -32,7 +32,7 @@ class Options:
     out: RunsFolder = Path("runs")
     in_process: Annotated[bool, Option("One process, no zenoh; the same log, byte for byte.")] = False
     clock: Annotated[Clock, Option(
-        "real: ticks begin by the wall clock and wait for no agent; the result lists late agents.")] = (
+        "Deprecated: real lets ticks begin by the wall clock and wait for no agent; the result lists late agents.")] = (
             Clock.LOCKSTEP)  # fmt: skip
     speed: Annotated[float | None, Kind.SPEED, Option(
         "Speed in multiples of real time, or as fast as possible; with --clock real, 1.")] = None  # fmt: skip

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from fleet.recorder.journal import Journal
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
+from fleet.scenario.sections.fault_entry import DIVERGED, TUMBLED
 from fleet.terminal.line import GAP, Piece, shortened
 from fleet.terminal.status_line import BAR, StatusLine, bar
 

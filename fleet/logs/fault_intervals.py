@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from msgspec import Meta, Struct
 
 from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
-from fleet.quantities import QuantityError, vehicle_numbers
+from fleet.scenario.sections.timeline import FaultInterval
+from fleet.scenario.text.fault_words import entry_of_words
 from netem.limits import LOG_FAULTS
 
 
-def kind_and_vehicles(what: str) -> tuple[str, Sequence[int]]:
-    """The kind of a fault, and the vehicles that its words name, as in `kill 3`; none if they name something else."""
-    kind, _, who = what.partition(" ")
-    try:
-        return kind, vehicle_numbers(who)
-    except QuantityError:
-        return kind, ()
+class FaultMessage(NamedTuple):
+    """One message of the topic `faults`."""
+
+    fault: str  # id
+    action: str  # begins | ends
+    what: str  # in words
+    entry: str  # the same as data
 
 
-class FaultInterval(NamedTuple):
-    """A fault of the log, and when it was active, in s of simulated time.
-
-    A fault whose end is not in the log lasts to the end of the log.
+def fault_message(message: Any, names: Sequence[str] = ()) -> FaultMessage | None:
+    """A message of the topic `faults`, as it was decoded. None: it is not one of ours. A log has a fault in the words
+    of a scenario, which are read here and nowhere else. `names`: of the nodes.
     """
-
-    id: str  # as in the scenario, or f1, f2, ...
-    begin: float  # [s]
-    end: float  # [s]
-    what: str  # kind and arguments, such as `kill 3`
+    found = [getattr(message, field, None) for field in ("fault", "action", "what")]
+    if not all(isinstance(text, str) for text in found):
+        return None
+    fault, action, what = map(str, found)
+    return FaultMessage(fault, action, what, entry_of_words(what, tuple(names)))
 
 
 class FaultTime(Struct, frozen=True):
@@ -42,10 +42,15 @@ class FaultTime(Struct, frozen=True):
     to_s: Annotated[float, Meta(description="When it ends, at the latest with the run or the log.")]
     what: Annotated[str, Meta(description="What it does, as a scenario writes it.")]
 
+    @classmethod
+    def of(cls, fault: FaultInterval) -> FaultTime:
+        return cls(fault.id, fault.begin, fault.end, fault.what)
 
-def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
+
+def fault_intervals(topic: Topic, end: float, names: Sequence[str] = ()) -> list[FaultInterval]:
     """Faults and events of vehicles, in the order of their beginnings, from a message for each begin and each end. One
-    without an end lasts to `end` of the log [s]. Raises LogReadError for more than LOG_FAULTS.items messages.
+    without an end lasts to `end` of the log [s]. `names`: of the nodes. Raises LogReadError for more than
+    LOG_FAULTS.items messages.
     """
     if len(topic) > LOG_FAULTS.items:
         raise LogReadError(
@@ -53,15 +58,18 @@ def fault_intervals(topic: Topic, end: float) -> list[FaultInterval]:
         )
     if not len(topic):
         return []
-    return intervals(zip(topic.t, topic["fault"], topic["action"], topic["what"], strict=True), end)
+    columns = zip(topic["fault"], topic["action"], topic["what"], strict=True)
+    messages = [FaultMessage(*row, entry_of_words(row[2], tuple(names))) for row in columns]
+    return intervals(zip(topic.t, messages, strict=True), end)
 
 
-def intervals(happened: Iterable[tuple[float, str, str, str]], end: float) -> list[FaultInterval]:
-    """As `fault_intervals`, from time [s], id, `begins` or `ends`, kind and arguments of each message."""
+def intervals(happened: Iterable[tuple[float, FaultMessage]], end: float) -> list[FaultInterval]:
+    """As `fault_intervals`, from time [s] and message."""
     found: dict[str, FaultInterval] = {}
-    for at, name, action, what in happened:
-        if action == "begins":
-            found[name] = FaultInterval(name, float(at), end, what)
+    for at, message in happened:
+        name = message.fault
+        if message.action == "begins":
+            found[name] = FaultInterval(name, float(at), end, message.what, message.entry)
         elif name in found:
             found[name] = found[name]._replace(end=float(at))
     return list(found.values())

@@ -12,10 +12,12 @@ from msgspec import Meta, Struct
 
 from fleet.errors import printable
 from fleet.logs.decoder import Decoder
-from fleet.logs.fault_intervals import FaultInterval, FaultTime, intervals
+from fleet.logs.fault_intervals import FaultTime, fault_message, intervals
 from fleet.logs.reader import LogReader, OnProgress, Record, log_path, log_size
+from fleet.logs.schemas import NODES
 from fleet.logs.traffic import is_attachment
-from fleet.scenario.sections.vehicle_events import VehicleEvents, is_fault, vehicle_events
+from fleet.scenario.sections.timeline import FaultInterval
+from fleet.scenario.sections.vehicle_events import VehicleEvents, vehicle_events
 from netem.limits import LOG_FAULTS
 
 MOST_TOPICS = 100  # in words one by one
@@ -78,8 +80,8 @@ def read_info(path: Path, on_progress: OnProgress = lambda _: None) -> Info:
         start_s=(first or 0) / 1e9,
         end_s=last / 1e9,
         run=reader.metadata.get("run", {}),
-        faults=[FaultTime(*one) for one in found if is_fault(one.what)],
-        events=vehicle_events((one.what, one.begin) for one in found),
+        faults=[FaultTime.of(one) for one in found if one.is_fault],
+        events=vehicle_events((one.what, one.begin) for one in found if not one.is_fault),
         topics=topics,
         missing=reader.missing,
         unread=unread,
@@ -89,13 +91,9 @@ def read_info(path: Path, on_progress: OnProgress = lambda _: None) -> Info:
 def _intervals(reader: LogReader, happened: list[Record], end: float) -> list[FaultInterval]:
     """Faults and events of vehicles; none in the file of a stranger, whose messages may hold anything."""
     decode = Decoder(reader)
-    rows = []
-    for record in happened:
-        message = decode.message(record)
-        name, action, what = (getattr(message, field, None) for field in ("fault", "action", "what"))
-        if isinstance(name, str) and isinstance(action, str) and isinstance(what, str):
-            rows.append((record.log_ns / 1e9, name, action, what))
-    return intervals(rows, end)
+    names = reader.metadata.get("run", {}).get(NODES, "").split()
+    read = ((record.log_ns / 1e9, fault_message(decode.message(record), names)) for record in happened)
+    return intervals(((at_s, message) for at_s, message in read if message is not None), end)
 
 
 def info_text(info: Info) -> str:

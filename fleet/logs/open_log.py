@@ -21,15 +21,15 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from fleet.logs.digest import Digest
-from fleet.logs.fault_intervals import FaultInterval, fault_intervals
+from fleet.logs.fault_intervals import fault_intervals
 from fleet.logs.reader import LogReader, LogReadError, OnProgress, digest, log_path, log_size
 from fleet.logs.records import Block
-from fleet.logs.schemas import FROM_TICK
+from fleet.logs.schemas import FROM_TICK, NODES
 from fleet.logs.topic import STEP, LogKeyError, Topic
 from fleet.logs.topic_names import link_of
 from fleet.logs.traffic import is_attachment
 from fleet.notebook import html_table
-from fleet.scenario.sections.vehicle_events import is_fault
+from fleet.scenario.sections.timeline import FaultInterval
 from netem.parsing import nearest
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ class Log:
         Raises:
             LogReadError: the log holds more events of faults than are read.
         """
-        return [interval for interval in self._intervals if is_fault(interval.what)]
+        return [interval for interval in self._intervals if interval.is_fault]
 
     @property
     def events(self) -> list[FaultInterval]:
@@ -251,11 +251,12 @@ class Log:
         Raises:
             LogReadError: the log holds more events of faults than are read.
         """
-        return [interval for interval in self._intervals if not is_fault(interval.what)]
+        return [interval for interval in self._intervals if not interval.is_fault]
 
     @cached_property
     def _intervals(self) -> list[FaultInterval]:
-        return fault_intervals(self["faults"], self.end) if "faults" in self else []
+        names = self.run.get(NODES, "").split()
+        return fault_intervals(self["faults"], self.end, names) if "faults" in self else []
 
 
 def open_log(

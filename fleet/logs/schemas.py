@@ -24,6 +24,7 @@ from netem.wire.messages import END, ERR, FAILED, OUT, Said
 from world.signal import Signal
 
 PACKAGE = "uuv_fleet"
+NODES = "nodes"  # key in metadata `run`: the names of the nodes, in the order of their numbers
 CLOCK = "clock"  # key in metadata `run`, where the run was not in lockstep, and so is not repeatable
 START = "start.json"  # the attachment of a log that holds where its run began, if that went on from another
 OLD_START = "start.msgpack"  # START in a log with snapshots, as versions before wrote it

@@ -21,8 +21,8 @@ from fleet.recorder.metrics import Metrics, VehicleError
 from fleet.recorder.program_failures import ProgramFailures
 from fleet.recorder.separation import Separation
 from fleet.scenario.scenario import Scenario, frame_every
+from fleet.scenario.sections.fault_entry import DIVERGED, TUMBLED, vehicle_entry
 from fleet.scenario.sections.timeline import Event, event_order
-from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from netem.ages import Ages
 from netem.errors import OutOfPlace
 from netem.ledger import Ledger
@@ -220,7 +220,7 @@ class Journal:
                     continue
                 who = self._vehicle_name(i)
                 name = self._name(f"death-{who.replace('.', '-')[:MOST_OF_NAME]}")
-                self.deaths[i] = Event(life.tick, name, "begins", f"kill {who}")
+                self.deaths[i] = Event(life.tick, name, "begins", f"kill {who}", vehicle_entry("kill", i))
                 self.died.append(self.deaths[i])
                 self.add_event(self.deaths[i])
         for tumble in frame.tumbles:
@@ -241,14 +241,15 @@ class Journal:
             self.log.event(event)
 
     def _diverges(self, i: int, tick: int) -> Event:
-        self.diverged[i] = event = Event(tick, f"{DIVERGED}-{i}", "begins", f"{DIVERGED} {i}")
+        entry = vehicle_entry(DIVERGED, i)
+        self.diverged[i] = event = Event(tick, f"{DIVERGED}-{i}", "begins", f"{DIVERGED} {i}", entry)
         self.died.append(event)
         return event
 
     def _tumbles_from(self, i: int, tick: int, number: int) -> Event:
         self.tumbles.append(Spell(i, tick))
         name = self._name(f"{TUMBLED}-{i}" if number == 1 else f"{TUMBLED}-{i}-{number}")
-        event = Event(tick, name, "begins", f"{TUMBLED} {i}")
+        event = Event(tick, name, "begins", f"{TUMBLED} {i}", vehicle_entry(TUMBLED, i))
         if tick < self._last:
             self.tumbled[i] = event
         return event

@@ -35,6 +35,7 @@ from fleet.logs.schemas import (
     FROM,
     FROM_TICK,
     LOCATED,
+    NODES,
     PACKET,
     RANGED,
     ROLL,
@@ -304,7 +305,7 @@ def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, st
         "python": ".".join(platform.python_version_tuple()[:2]),
         "resumable": _resumable(scenario),
         **{what: f"sha256 {fingerprint(c)}" for what, c in sources.items()},
-        **({"nodes": " ".join(scenario.nodes)} if scenario.nodes else {}),
+        **({NODES: " ".join(scenario.nodes)} if scenario.nodes else {}),
     }
     if start is not None:
         found |= {FROM_TICK: str(start.tick), FROM: start.source}

@@ -13,6 +13,7 @@ from fleet.checks.own_checks import OwnChecks, due_groups, reported
 from fleet.checks.values import LoggedValues, Values
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
+from fleet.logs.fault_intervals import fault_message
 from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, MessageField
 from fleet.logs.topic_names import link_topic
@@ -138,9 +139,8 @@ class _Feed:
         self._whole = last is not None
         decode = Decoder(reader).ours
         for record in reader.of({FAULTS, *self._links, *self._samples}):
-            if (
-                message := decode(record, self._columns[record.topic], lacking=record.topic in self._samples)
-            ) is None:  # damaged
+            lacking = record.topic in self._samples
+            if (message := decode(record, self._columns[record.topic], lacking=lacking)) is None:  # damaged
                 continue
             if record.topic in self._samples:
                 self._sample(record, message)
@@ -152,7 +152,8 @@ class _Feed:
                 self._show()
                 tick = record.log_ns // self._tick_ns
                 self._show_silence(tick)
-                self._checks.event(Event(tick, message.fault, message.action, message.what))
+                if (told := fault_message(message, self._scenario.nodes)) is not None:
+                    self._checks.event(Event(tick, *told))
         if last is not None:
             self._show()
             self._show_silence(last + 1)

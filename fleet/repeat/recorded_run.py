@@ -10,13 +10,15 @@ from typing import Any
 
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
+from fleet.logs.fault_intervals import FaultMessage, fault_message
 from fleet.logs.reader import LogReader, OnProgress, Record, log_path
-from fleet.logs.schemas import CLOCK, FAULT, FROM
+from fleet.logs.schemas import CLOCK, FAULT, FROM, NODES
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY, Recovery, SignalCheck
-from fleet.scenario.sections.vehicle_events import is_fault
+from fleet.scenario.sections.fault_entry import is_fault, values_of
+from fleet.scenario.sections.node_names import named_values
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy, ran_from
@@ -31,7 +33,7 @@ class Recorded:
     path: Path
     reader: LogReader  # the reader has read the whole log
     text: str  # the scenario that stands in it
-    events: list[tuple[int, Any]]  # (time [ns], message) of the topic `faults`
+    events: list[tuple[int, FaultMessage]]  # (time [ns], message) of the topic `faults`
     last_ns: int  # time of the last message; -1 without any
 
     def insist_on_lockstep(self, what: str, instead: str) -> None:
@@ -45,7 +47,7 @@ class Recorded:
             FleetError: the log is such a one.
         """
         about = self.reader.metadata.get("run", {})
-        if "nodes" in about:
+        if NODES in about:
             raise FleetError(f"{self.path} holds what programs of others sent on a wall clock, so {what}; {instead}")
         if about.get(CLOCK) == Clock.REAL:
             raise FleetError(
@@ -86,7 +88,8 @@ def recorded(path: Path, on_progress: OnProgress = lambda _: None) -> Recorded:
             )
     attached = _attached(path, reader)
     decode = Decoder(reader)
-    events = [(record.log_ns, decode.ours(record, FAULT)) for record in happened]
+    names = reader.metadata.get("run", {}).get(NODES, "").split()
+    events = [(record.log_ns, fault_message(decode.ours(record, FAULT), names)) for record in happened]
     ours = [(at_ns, event) for at_ns, event in events if event is not None]
     return Recorded(path, reader, attached, ours, reader.last_ns)
 
@@ -113,7 +116,7 @@ def _attached(path: Path, reader: LogReader) -> str:
 def rerun(
     path: Path,
     text: str,
-    happened: list[tuple[int, Any]],
+    happened: list[tuple[int, FaultMessage]],
     last_ns: int,
     overrides: Sequence[str | Override] = (),
     policy: Policy = READING,
@@ -124,7 +127,7 @@ def rerun(
     planned = parse_scenario(text, str(path))
     end_ns = planned.ticks * planned.tick_ns
     try:
-        faults = _entries(happened, end_ns)
+        faults = _entries(happened, end_ns, planned.nodes)
     except FaultWordsError as error:
         raise FleetError(f"{path} tells of a fault that is none: {error}") from None
     if last_ns < end_ns:
@@ -151,13 +154,14 @@ def _recoveries(planned: Scenario, ended: set[str]) -> list[str]:
     return changes
 
 
-def _entries(events: list[tuple[int, Any]], end_ns: int) -> list[dict[str, Any]]:
+def _entries(events: list[tuple[int, FaultMessage]], end_ns: int, names: Sequence[str]) -> list[dict[str, Any]]:
     entries: dict[str, dict[str, Any]] = {}
     for at_ns, event in events:
-        if not is_fault(event.what) or event.what.startswith("lost "):
+        if not is_fault(event.entry) or event.what.startswith("lost "):
             continue  # a loss happens again by itself; only older logs have such events
         if event.action == "begins":
-            entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **read_fault(event.what), "_at": at_ns}
+            values = named_values(values_of(event.entry), names) or read_fault(event.what)
+            entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **values, "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:
             entries[event.fault]["for"] = show_time(at_ns - entries[event.fault]["_at"])
     return [{key: value for key, value in entry.items() if key != "_at"} for entry in entries.values()]

@@ -26,6 +26,7 @@ from fleet.scenario.sections.navigation import inlined_navigation
 from fleet.scenario.sections.node_signals import node_layout
 from fleet.scenario.sections.per_vehicle import Control, inlined_vehicle, model_name
 from fleet.scenario.sections.signals import BeliefKind
+from fleet.scenario.sections.timeline import FaultInterval
 from fleet.scenario.sections.triggers import trigger_lines
 from fleet.scenario.sections.vehicle_files import shipped_vehicles
 from fleet.scenario.text import scenario_yaml
@@ -340,20 +341,27 @@ def _difference(a: Offset, b: Offset) -> Offset:
     )
 
 
-def timeline(scenario: Scenario) -> list[tuple[str, float, float, str]]:
-    """(id, begin [s], end [s], text) of each fault, in the order of their beginnings."""
+def timeline(scenario: Scenario) -> list[FaultInterval]:
+    """Each fault that is planned, in the order of their beginnings."""
     tick_s, events = scenario.tick_ns / 1e9, scenario.faults.events
     ends = {event.fault: event.tick for event in events if event.action == "ends"}
-    return [(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what) for e in events if e.action == "begins"]
+    return [
+        FaultInterval(e.fault, e.tick * tick_s, ends[e.fault] * tick_s, e.what, e.entry)
+        for e in events
+        if e.action == "begins"
+    ]
+
+
+def fault_line(fault: FaultInterval) -> str:
+    """A fault and its times in words."""
+    return f"fault from {fault.begin:g} to {fault.end:g} s: {fault.what} (id {fault.id})"
 
 
 def timeline_lines(scenario: Scenario, most: int | None = None) -> list[str]:
     """The same in words, a line each; with `most`, no more lines, and one that says how many are left out."""
     found = timeline(scenario)
     waiting = trigger_lines(scenario.spec.triggers, scenario.spec)
-    lines = [
-        f"fault from {begin_s:g} to {end_s:g} s: {what} (id {name})" for name, begin_s, end_s, what in found[:most]
-    ]
+    lines = [fault_line(fault) for fault in found[:most]]
     more = [] if len(lines) == len(found) else [f"... and {len(found) - len(lines)} more faults"]
     return [*lines, *more, *waiting]
 

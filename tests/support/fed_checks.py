@@ -10,6 +10,7 @@ from fleet.checks.own_checks import OwnChecks
 from fleet.checks.values import LoggedValues, Values
 from fleet.result.verdict import Verdict
 from fleet.scenario.sections.timeline import Event
+from fleet.scenario.text.fault_words import entry_of_words
 from netem.wire.messages import Fate
 
 Depth = Callable[[int, float], float | None]  # of a vehicle at a time [s]; None: not reported
@@ -65,4 +66,4 @@ def fate(src: int, dst: int, sent: int, cause: str = "delivered", *, final: int 
 
 def begins(fault: str, tick: int, what: str = "down 1->2") -> Event:
     """The beginning of a fault."""
-    return Event(tick, fault, "begins", what)
+    return Event(tick, fault, "begins", what, entry_of_words(what))

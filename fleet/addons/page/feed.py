@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ from google.protobuf.message import DecodeError
 
 from fleet.addons.page.chart_signals import Signals
 from fleet.addons.page.view_state import Row, ViewState
+from fleet.logs import fault_intervals as logged
 from fleet.logs.decoder import decoded
+from fleet.logs.fault_intervals import FaultMessage
 from fleet.logs.schemas import BELIEF, FAULT, LOCATED, PACKET, flat_schema
 from fleet.logs.topic_names import believer_of, link_of
 from fleet.result.file import ResultError, read_result
@@ -42,17 +45,20 @@ def take(
         if topic == TRANSFORMS:
             picture.transforms(at_s, decoded(FrameTransforms, data))
         elif topic == FAULTS:
-            picture.event(at_s, decoded(_FAULT, data))
+            if (message := fault_message(data, picture.scenario.nodes)) is not None:
+                picture.event(at_s, message)
         elif (believer := believer_of(topic)) is not None:
             picture.believes(*believer, at_s, decoded(_BELIEFS[believer[1]], data))
         elif (link := link_of(topic)) is not None:
             picture.packet(link, decoded(_PACKET, data), moving=moving)
 
 
-def fault_message(data: bytes) -> Any:
-    """A message of the topic `faults`; None: it is damaged."""
-    with suppress(DecodeError):
-        return decoded(_FAULT, data)
+def fault_message(data: bytes, names: Sequence[str] = ()) -> FaultMessage | None:
+    """A message of the topic `faults`; None: it is damaged. `names`: of the nodes."""
+    try:
+        return logged.fault_message(decoded(_FAULT, data), names)
+    except DecodeError:
+        return None
 
 
 def is_lost(data: bytes) -> bool:

@@ -126,8 +126,8 @@ class LiveFeed:
             known = self.ask("faults")
             events = known["events"]
             lasting = [
-                {"id": row["id"], "what": row["what"], "from_s": row["last_s"], "to_s": self._status["end_s"],
-                 "until_healed": False}
+                {"id": row["id"], "what": row["what"], "entry": row["entry"], "from_s": row["last_s"],
+                 "to_s": self._status["end_s"], "until_healed": False}
                 for row in events if row["lasts"]
             ]  # fmt: skip
             self.picture.faults([*known["faults"], *lasting])

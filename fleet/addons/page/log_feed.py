@@ -22,9 +22,9 @@ from fleet.addons.page.feed import (
     is_lost,
     take,
 )
-from fleet.addons.page.view_state import HISTORY_S, NOT_PLACED, Row, ViewState
+from fleet.addons.page.view_state import HISTORY_S, NOT_PLACED, Row, ViewState, fault_row
 from fleet.logs.difference import begin_ns
-from fleet.logs.fault_intervals import intervals
+from fleet.logs.fault_intervals import FaultMessage, intervals
 from fleet.logs.open_log import Log, Opening
 from fleet.logs.reader import LogReadError
 from fleet.logs.records import Array
@@ -36,8 +36,8 @@ from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.fault_entry import TUMBLED
 from fleet.scenario.sections.signal_checks import checked_signals
-from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
 from netem.cause import Cause
 from netem.limits import LOG_FAULTS
 
@@ -243,7 +243,7 @@ class LogFeed:
     def _all_faults(self) -> list[Row]:
         """Every fault that the log tells of, with its end. Raises LogReadError: they are more than anybody could look
         at."""
-        happened: list[tuple[float, str, str, str]] = []
+        happened: list[tuple[float, FaultMessage]] = []
         held = 0  # bytes
         track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
         for _, entry in track.entries(range(len(track))):
@@ -251,12 +251,9 @@ class LogFeed:
             if len(track) > LOG_FAULTS.items or held > LOG_FAULTS.bytes:
                 most = f"{LOG_FAULTS.items} messages or {LOG_FAULTS.bytes} bytes"
                 raise LogReadError(f"{self.path} tells of more faults than are shown: expected at most {most}")
-            if (event := fault_message(entry.data)) is not None:
-                happened.append((entry.log_ns / 1e9, event.fault, event.action, event.what))
-        return [
-            {"id": one.id, "what": one.what, "from_s": one.begin, "to_s": one.end, "until_healed": False}
-            for one in intervals(happened, self._tape.end_ns / 1e9)
-        ]
+            if (event := fault_message(entry.data, self.scenario.nodes)) is not None:
+                happened.append((entry.log_ns / 1e9, event))
+        return [fault_row(one) for one in intervals(happened, self._tape.end_ns / 1e9)]
 
     def advance(self) -> bool:
         """Take what is due; whether there is something new to show."""
@@ -332,8 +329,7 @@ class LogFeed:
             return float(row["at_s"])
         section = self.scenario.spec.checks
         if row["check"] == TUMBLED:
-            times = [one.first_s for one in self.picture.vehicle_events if one.what.startswith((TUMBLED, DIVERGED))]
-            return min(times, default=None)
+            return min((one.first_s for one in self.picture.vehicle_events), default=None)
         if row["check"] == "formation_error" and (asked := section.formation_error) is not None:
             everyone = range(1, self.scenario.vehicles + 1)
             who = everyone if asked.vehicles is None else vehicle_numbers(asked.vehicles)

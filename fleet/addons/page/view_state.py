@@ -13,7 +13,7 @@ from math import dist
 from typing import Any
 
 from fleet.addons.page.on_air import OnAir
-from fleet.logs.fault_intervals import kind_and_vehicles
+from fleet.logs.fault_intervals import FaultMessage
 from fleet.logs.payload_kinds import DAMAGED, kind_of
 from fleet.recorder.scene.belief import NewestBeliefs
 from fleet.recorder.scene.link_state import ARRIVED, BEHIND, LinkHistory, LinkState, fate_of, stale_after
@@ -34,8 +34,9 @@ from fleet.recorder.scene.styles import LINK_MEANINGS, NO_AGENT
 from fleet.recorder.transforms import angles
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.scenario import Scenario, timeline
-from fleet.scenario.sections.node_names import numbered_words
-from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED, VehicleEvents, is_fault, vehicle_events
+from fleet.scenario.sections.fault_entry import DIVERGED, TUMBLED, entry_kind, entry_vehicles, is_fault
+from fleet.scenario.sections.timeline import FaultInterval
+from fleet.scenario.sections.vehicle_events import VehicleEvents, vehicle_events
 from netem.condition import Link
 from world.vectors import Vec3
 
@@ -160,12 +161,12 @@ class ViewState:
                 history.told(at_s - row["age_s"])
 
     def faults(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Take the list of faults, and of states of vehicles that last. `rows`: id, what, from_s, to_s and
+        """Take the list of faults, and of states of vehicles that last. `rows`: id, what, entry, from_s, to_s and
         until_healed, as `fleet status --all` has them."""
-        keys = ("id", "what", "from_s", "to_s", "until_healed")
+        keys = ("id", "what", "entry", "from_s", "to_s", "until_healed")
         plain = [{key: row[key] for key in keys} for row in rows]
-        known = [row for row in plain if is_fault(row["what"])]
-        events = self._events | {row["id"]: row for row in plain if not is_fault(row["what"])}
+        known = [row for row in plain if is_fault(row["entry"])]
+        events = self._events | {row["id"]: row for row in plain if not is_fault(row["entry"])}
         if (known, events) != (self.known_faults, self._events):
             self.known_faults, self._events = known, events
             self.changes += 1
@@ -177,18 +178,18 @@ class ViewState:
             self._told = told
             self.changes += 1
 
-    def event(self, at_s: float, message: Any) -> None:
+    def event(self, at_s: float, message: FaultMessage) -> None:
         """Take a message of the topic `faults`: something begins or ends.
 
         `faults` has better data about lasting things.
         """
-        row = {"id": message.fault, "what": message.what, "from_s": at_s, "to_s": self.end_s}
-        if is_fault(message.what):
+        row = {"id": message.fault, "what": message.what, "entry": message.entry, "from_s": at_s, "to_s": self.end_s}
+        if is_fault(message.entry):
             known = next((row for row in self.known_faults if row["id"] == message.fault), None)
         else:
             known = self._events.get(message.fault)
         if message.action == "begins" and known is None:
-            if is_fault(message.what):
+            if is_fault(message.entry):
                 self.known_faults = [*self.known_faults, row | {"until_healed": True}]
             else:
                 self._events = self._events | {message.fault: row | {"until_healed": False}}
@@ -344,10 +345,10 @@ class ViewState:
     def _states(self) -> dict[int, str]:
         found: dict[int, list[str]] = {}
         for row in (*self.known_faults, *self._events.values()):
-            kind = row["what"].partition(" ")[0]
+            kind = entry_kind(row["entry"])
             word = kind if kind in (TUMBLED, DIVERGED) else KINDS[kind].shown if kind in KINDS else ""
             if word and row["from_s"] <= self.at_s < row["to_s"]:
-                for i in kind_and_vehicles(numbered_words(row["what"], self.scenario.nodes))[1]:
+                for i in entry_vehicles(row["entry"]):
                     found.setdefault(i, []).append(word)
         return {i: ", ".join(dict.fromkeys(some)) for i, some in found.items()}
 
@@ -394,7 +395,10 @@ def _errors(values: Iterable[float | None]) -> list[float | None]:
 
 def _scripted(scenario: Scenario) -> list[Row]:
     end_s = scenario.duration_ns / 1e9
-    return [
-        {"id": name, "what": what, "from_s": begin_s, "to_s": min(to_s, end_s), "until_healed": False}
-        for name, begin_s, to_s, what in timeline(scenario)
-    ]
+    return [fault_row(one._replace(end=min(one.end, end_s))) for one in timeline(scenario)]
+
+
+def fault_row(one: FaultInterval) -> Row:
+    """A fault whose times are known."""
+    times = {"from_s": one.begin, "to_s": one.end, "until_healed": False}
+    return {"id": one.id, "what": one.what, "entry": one.entry, **times}

@@ -21,10 +21,9 @@ from fleet.addons.pictures.look import column_in, label_pt, legend_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.addons.pictures.shades import MOST_CHARACTERS, shade, words
 from fleet.addons.pictures.style import HALO, NORMAL, STYLE_NAMES, STYLES, THIN, limit, panels
-from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
-from fleet.scenario.sections.vehicle_events import is_fault
+from fleet.scenario.sections.timeline import FaultInterval
 
 MOST_MARKS = 6
 _ROOM = 0.06  # of the axis: what a number needs
@@ -441,7 +440,7 @@ def bounds(ax: Axes, values: Sequence[tuple[float, float]], what: str, unit: str
 def _with_runs(fault: FaultInterval, labels: Sequence[str]) -> FaultInterval:
     only = labels[0] if len(labels[0]) <= _RUN else f"…{labels[0][1 - _RUN :]}"  # the end tells runs apart
     of = f" ({only if len(labels) == 1 else f'{len(labels)} runs'})"
-    what = fault.what if not is_fault(fault.what) else words(fault, MOST_CHARACTERS - len(of))
+    what = fault.what if not fault.is_fault else words(fault, MOST_CHARACTERS - len(of))
     return fault._replace(id="f0", what=f"{what}{of}")
 
 

@@ -17,10 +17,10 @@ from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
 from fleet.addons.pictures.style import THIN, plain_decades
 from fleet.addons.pictures.thresholds import age_limits, draw_thresholds
-from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
 from fleet.palette import COLOURS
+from fleet.scenario.sections.fault_entry import entry_kind, entry_vehicles
 from netem.cause import Cause
 from netem.condition import Link
 
@@ -180,8 +180,11 @@ def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) ->
 
 
 def _life(ax: Axes, run: Run, i: int, row: int) -> None:
-    named = [(fault, *kind_and_vehicles(fault.what)) for fault in run.log.faults]
-    absent = [(fault.begin, fault.end) for fault, kind, who in named if kind in ("kill", "pause") and i in who]
+    absent = [
+        (fault.begin, fault.end)
+        for fault in run.log.faults
+        if entry_kind(fault.entry) in ("kill", "pause") and i in entry_vehicles(fault.entry)
+    ]
     at = 0.0
     for begin, end in sorted(absent):
         ax.plot([at, begin], [row, row], color="0.55", linewidth=THIN, zorder=1)

@@ -16,8 +16,8 @@ from matplotlib.transforms import ScaledTranslation
 from fleet.addons.pictures.caption import text_width_pt
 from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.style import THIN
-from fleet.logs.fault_intervals import FaultInterval
-from fleet.scenario.sections.vehicle_events import is_fault, vehicle_events
+from fleet.scenario.sections.timeline import FaultInterval
+from fleet.scenario.sections.vehicle_events import vehicle_events
 
 Span = tuple[float, float]
 
@@ -36,8 +36,8 @@ def shade(axes: Sequence[Axes], intervals: Sequence[FaultInterval]) -> list[str]
     """
     first, last = axes[0].get_xlim()
     spans = sorted((f for f in intervals if f.begin < last and f.end > first), key=lambda f: (f.begin, f.end, f.id))
-    faults = [f for f in spans if is_fault(f.what)]
-    others = [f for f in spans if not is_fault(f.what)]
+    faults = [f for f in spans if f.is_fault]
+    others = [f for f in spans if not f.is_fault]
     for ax in axes:
         for some, colour, alpha, gid in ((faults, "0.45", 0.2, "fault"), (others, TUMBLE, 0.18, "tumbled")):
             for begin, end in union([(f.begin, f.end) for f in some]):

@@ -33,14 +33,13 @@ from fleet.addons.pictures.caption import write_caption
 from fleet.addons.pictures.look import column_in, label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.addons.pictures.style import NORMAL, STYLES, THIN
-from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.records import Array
 from fleet.palette import COLOURS
 from fleet.recorder.scene.belief import ellipse
 from fleet.recorder.scene.model import SceneModel
 from fleet.recorder.scene.primitives import AreaShape, CylinderShape, LineShape, Primitive
 from fleet.recorder.scene.styles import COURSE, PRINT
-from fleet.scenario.sections.vehicle_events import DIVERGED, TUMBLED
+from fleet.scenario.sections.fault_entry import DIVERGED, TUMBLED, entry_kind, entry_vehicles
 
 # Where the vehicles believed that they were, beside where they were: a thin way, and an ellipse at a few moments.
 
@@ -127,8 +126,8 @@ def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) 
     """
     found = []
     for fault in (*run.log.faults, *run.log.events):
-        kind, vehicles = kind_and_vehicles(fault.what)
-        for i in vehicles if kind in MARKS else ():
+        kind = entry_kind(fault.entry)
+        for i in entry_vehicles(fault.entry) if kind in MARKS else ():
             if i in tracks and (view.window is None or view.window[0] <= fault.begin <= view.window[1]):
                 t, positions = tracks[i]
                 k = min(int(np.searchsorted(t, fault.begin)), len(t) - 1)

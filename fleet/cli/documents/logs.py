@@ -131,7 +131,7 @@ def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: S
         draws=may_draw(scenario),
         theory=_theory(scenario, found),
         changing_links=[_changing(its, links) for _, its, links in written(scenario)],
-        faults=[FaultTime(*row) for row in timeline(scenario)],
+        faults=[FaultTime.of(fault) for fault in timeline(scenario)],
         warnings=warnings,
         not_checked=problem_rows(refused),
     )

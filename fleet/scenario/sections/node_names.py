@@ -29,16 +29,6 @@ def numbered(text: str, names: Sequence[str]) -> str:
     return pattern.sub(lambda found: found[0] if found[0] in RESERVED else str(names.index(found[0]) + 1), text)
 
 
-def numbered_words(what: str, names: Sequence[str]) -> str:
-    """A fault in words, as `kill m2`, with numbers in place of names; without names, or with unknown ones, as it is."""
-    kind, space, rest = what.partition(" ")
-    who, colon, more = rest.partition(": ")  # `link m1->m2: loss 30%`
-    try:
-        return f"{kind}{space}{numbered(who, names)}{colon}{more}" if names else what
-    except KeyError:
-        return what
-
-
 @cache
 def _word(names: tuple[str, ...]) -> re.Pattern[str]:
     """A name, the longest one that fits, or a word that is none. The - of `a-b` stands between two names, and that of

@@ -17,14 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from msgspec import structs
 
 from fleet.scenario.faults.kind import Kill, Part, Surroundings
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.node_names import named
-from fleet.scenario.sections.vehicle_events import is_fault
+from fleet.scenario.sections.fault_entry import entry_of, is_fault, words_of
 from netem.condition import Link
 from netem.faults import NetFault
 from netem.lives import Absence
@@ -40,12 +40,28 @@ class Event:
     tick: int
     fault: str  # id of the fault
     action: str  # begins | ends
-    what: str  # in the words of the scenario
+    what: str  # in words, with the names of nodes
+    entry: str  # as data: `fleet.scenario.sections.fault_entry`
 
     @property
     def is_fault(self) -> bool:
         """Whether it is a fault; a vehicle that tumbles is the consequence of one."""
-        return is_fault(self.what)
+        return is_fault(self.entry)
+
+
+class FaultInterval(NamedTuple):
+    """When a fault was active, or is planned to be, in s of simulated time."""
+
+    id: str  # as in the scenario, or f1, f2, ...
+    begin: float  # [s]
+    end: float  # [s], at the latest with the run or its log
+    what: str  # in words, such as `kill 3`
+    entry: str  # the same as data
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether it is a fault; a vehicle that tumbles is the consequence of one."""
+        return is_fault(self.entry)
 
 
 def with_end(part: Part, end: int) -> Part:
@@ -98,9 +114,9 @@ def begin_and_end(
     of_this: Sequence[Part], section: FaultSection, last: int, names: Sequence[str] = ()
 ) -> tuple[Event, Event]:
     """The events of a fault in a run of `last` ticks. `names`: of the nodes, if it has some."""
-    part, what = of_this[0], words(section, names)
-    end = last if part.end is None else min(part.end, last)
-    return Event(part.begin, part.id, "begins", what), Event(end, part.id, "ends", what)
+    part, entry = of_this[0], entry_of(section)
+    end, what = last if part.end is None else min(part.end, last), words_of(entry, names)
+    return Event(part.begin, part.id, "begins", what, entry), Event(end, part.id, "ends", what, entry)
 
 
 def parts(section: FaultSection, name: str, spec: ScenarioSpec, links: Sequence[Link]) -> list[Part]:
@@ -126,10 +142,4 @@ def acts(found: Sequence[Part]) -> bool:
 
 def words(section: FaultSection, names: Sequence[str] = ()) -> str:
     """A fault as a scenario writes it, without its times. `names`: of the nodes, if it has some."""
-    name = section.kind.name
-    value = section.model_dump(exclude_none=True, exclude_defaults=True)[name]
-    if name == "link":
-        return "link " + ", ".join(f"{named(selector, names)}: {condition}" for selector, condition in value.items())
-    if isinstance(value, dict):
-        return f"{name} {{{', '.join(f'{key}: {inner}' for key, inner in value.items())}}}"
-    return f"{name} {named(value, names)}"
+    return words_of(entry_of(section), names)

@@ -10,13 +10,6 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-TUMBLED, DIVERGED = "tumbled", "diverged"  # first words of such an event in the log; no scenario asks for one
-
-
-def is_fault(what: str) -> bool:
-    """Whether the text of an event in the log is that of a fault, and not of what happened to a vehicle."""
-    return what.partition(" ")[0] not in (TUMBLED, DIVERGED)
-
 
 class VehicleEvents(Struct):
     """All events of one kind that happened to one vehicle."""
@@ -33,11 +26,10 @@ class VehicleEvents(Struct):
 def vehicle_events(happened: Iterable[tuple[str, float]]) -> list[VehicleEvents]:
     """One row for each vehicle and kind of event, in the order of their first occurrence.
 
-    `happened`: text and beginning [s] of faults and events, in any order; faults are left out.
+    `happened`: text and beginning [s] of each event, in any order.
     """
     times: dict[str, list[float]] = {}
     for what, at_s in happened:
-        if not is_fault(what):
-            times.setdefault(what, []).append(at_s)
+        times.setdefault(what, []).append(at_s)
     rows = [VehicleEvents(what, len(some), min(some)) for what, some in times.items()]
     return sorted(rows, key=lambda row: (row.first_s, row.what))

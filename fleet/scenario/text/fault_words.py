@@ -12,17 +12,24 @@ the same fault.
 
 from __future__ import annotations
 
+import json
 import re
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
+
+from pydantic import ValidationError
 
 from fleet.errors import FleetError, Problem
 from fleet.quantities import TIME
 from fleet.scenario.faults.kinds import KINDS
+from fleet.scenario.sections.fault_entry import DIVERGED, TUMBLED, entry_of, fault_reader
+from fleet.scenario.sections.node_names import numbered_values
 from fleet.scenario.text.yaml_reader import Mapping, Node, Scalar, Source, TextPlace, plain
 from netem.parsing import exact_number, nearest, quoted
 
+MOST_WORDS = 65536  # characters of a fault
 _WORD = re.compile(r"[^\s'\"{}]+")
 _KEY = re.compile(r"([a-z_]+)[=:]")
 
@@ -42,6 +49,23 @@ def read_fault(text: str) -> dict[str, Any]:
     """
     found: dict[str, Any] = plain(fault_entry(Source("fault", text)))
     return found
+
+
+@lru_cache(4096)  # most logs have each twice: a fault begins and ends
+def entry_of_words(words: str, names: tuple[str, ...] = ()) -> str:
+    """The entry of a fault of which only the words are known, as in a log or in the test of a check. `names`: of the
+    nodes. "": these words are no fault.
+    """
+    if len(words) > MOST_WORDS:  # a log may be of a stranger
+        return ""
+    kind, _, who = words.partition(" ")
+    if kind in (TUMBLED, DIVERGED):
+        return json.dumps({kind: who})
+    try:
+        read = {key: numbered_values(value, names) for key, value in read_fault(words).items()}  # a node may be `kill`
+        return entry_of(fault_reader().validate_python(read))
+    except (FaultWordsError, ValidationError, KeyError):
+        return ""
 
 
 def fault_entry(source: Source) -> Mapping:

@@ -24,9 +24,11 @@ from fleet.addons.page.movie import write
 from fleet.addons.page.movie_scene import SCENE_PT, Camera, MovieScene
 from fleet.addons.page.view_state import ViewState
 from fleet.errors import FleetError
+from fleet.logs.fault_intervals import FaultMessage
 from fleet.recorder.scene.link_state import LinkState
 from fleet.recorder.scene.styles import PRINT
 from fleet.scenario.loading import load_scenario
+from fleet.scenario.sections.fault_entry import vehicle_entry
 
 CUT = PRINT.links[LinkState.CUT].colour
 SHORT = ("duration=1 s", "faults=[{at: 400 ms, for: 400 ms, id: cut, partition: halves}]", "checks={tumbled: waived}")
@@ -161,7 +163,7 @@ def test_a_long_fault_is_cut_short() -> None:
     picture = ViewState(small())
     groups = ",".join(map(str, range(100)))
     lasts = {"from_s": 0.0, "to_s": 1.0, "until_healed": False}
-    picture.faults([{"id": "f1", "what": f"partition {groups} / 100", **lasts}])
+    picture.faults([{"id": "f1", "what": f"partition {groups} / 100", "entry": "", **lasts}])
     scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True)
     scene.draw(picture.frame(), 0.0)
     (said,) = [text for text in texts(scene) if text.startswith("partition 0,1,2,3,")]
@@ -251,7 +253,7 @@ def test_signals_that_checks_name_are_drawn_for_all_vehicles_whole_numbers_as_st
     names = {i: f"uuv/{i}/control.holds" for i in (1, 2, 3)}
     scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True, charted={"control.holds": ("1", names)},
                        verdict={"passed": False, "text": "1 of 2 checks failed"})  # fmt: skip
-    picture.event(0.1, SimpleNamespace(fault="tumbled-2", action="begins", what="tumbled 2"))
+    picture.event(0.1, FaultMessage("tumbled-2", "begins", "tumbled 2", vehicle_entry("tumbled", 2)))
     scene.draw(picture.frame() | {"signals": {names[2]: [(0.0, 0.0), (0.4, 2.0)]}}, 0.5)
     line = scene.figure.axes[2].lines[1]
     assert list(line.get_ydata()) == [0.0, 2.0] and line.get_drawstyle() == "steps-post"
@@ -264,7 +266,7 @@ def test_signals_that_checks_name_are_drawn_for_all_vehicles_whole_numbers_as_st
 def test_what_happened_is_counted_up_to_the_time_of_the_picture() -> None:
     picture = ViewState(small())
     for k, at_s in enumerate((0.1, 0.2, 0.8)):
-        picture.event(at_s, SimpleNamespace(fault=f"tumbled-2-{k}", action="begins", what="tumbled 2"))
+        picture.event(at_s, FaultMessage(f"tumbled-2-{k}", "begins", "tumbled 2", vehicle_entry("tumbled", 2)))
     scene = MovieScene(picture, 0.0, 1.0, 1.0, above=True)
     for at_s, line in ((0.1, "tumbled 2: at 0.1 s"), (0.5, "tumbled 2: 2 times, first at 0.1 s")):
         scene.draw(picture.frame() | {"t": at_s}, at_s)

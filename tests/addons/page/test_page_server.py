@@ -16,6 +16,8 @@ from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.page.page import MOST_AHEAD, MOST_COMMANDS, TRY_AGAIN, Page, Viewer
 from fleet.addons.page.view_state import ViewState
 from fleet.errors import FleetError
+from fleet.logs.fault_intervals import FaultMessage
+from fleet.scenario.sections.fault_entry import vehicle_entry
 
 
 class AskedFeed(LiveFeed):
@@ -166,6 +168,6 @@ def test_pictures_do_not_pile_up_for_a_browser_that_does_not_take_them() -> None
     viewer._seen = viewer._sent  # it has caught up
     viewer.show({"t": 1.0})
     assert given[-1]["frame"]["t"] == 1.0
-    feed.picture.event(0.1, SimpleNamespace(fault="live-1", action="begins", what="mute 1"))
+    feed.picture.event(0.1, FaultMessage("live-1", "begins", "mute 1", vehicle_entry("mute", 1)))
     viewer.show({"t": 1.1})
     assert [row["id"] for row in given[-2]["known"]["faults"]] == ["live-1"]

@@ -16,9 +16,11 @@ from hypothesis import strategies as st
 from small_scenario import small
 
 from fleet.addons.page.view_state import MOST_PACKETS, SAMPLE_S, ViewState
+from fleet.logs.fault_intervals import FaultMessage
 from fleet.recorder.transforms import quaternion
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.text.fault_words import entry_of_words
 
 TURN = (radians(10.0), radians(120.0))
 
@@ -42,7 +44,7 @@ def packet(sent: float, due: float, fate: str = "delivered", corrupted: bool = F
 
 
 def event(fault: str, action: str, what: str) -> Any:
-    return SimpleNamespace(fault=fault, action=action, what=what)
+    return FaultMessage(fault, action, what, entry_of_words(what))
 
 
 def shown(picture: ViewState) -> dict[str, Any]:

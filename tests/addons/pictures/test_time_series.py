@@ -14,7 +14,7 @@ from fleet.addons.pictures import time_series
 from fleet.addons.pictures.runs import Run, View, load
 from fleet.addons.pictures.style import panels
 from fleet.addons.pictures.thresholds import Threshold, draw_thresholds, thresholds
-from fleet.logs.fault_intervals import FaultInterval
+from tests.support.intervals import interval
 
 CHECKS = (
     "checks={formation_error: {below: 50 cm, after: 3 s}, "
@@ -89,8 +89,8 @@ def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
     other = Run(run.log, "other")
     other.log.__dict__.pop("scenario", None)
     other.log.__dict__["_intervals"] = [
-        FaultInterval("a", 0.5, 1.0, "kill 1"),
-        FaultInterval("b", 4.0, 4.5, "kill 2"),
+        interval("a", 0.5, 1.0, "kill 1"),
+        interval("b", 4.0, 4.5, "kill 2"),
     ]
     before, other.log.scenario_text = other.log.scenario_text, text
     try:

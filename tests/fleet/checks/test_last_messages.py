@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from fed_checks import begins, fate, fed
 from msgspec.structs import replace
@@ -11,7 +13,6 @@ from agents.message import pack
 from agents.payload import StateMessage, encode
 from fleet.checks.own_checks import LastMessages, OwnChecks
 from fleet.checks.values import LoggedValues
-from fleet.scenario.sections.timeline import Event
 
 LINKS = [(1, 2), (2, 1), (2, 3), (3, 2)]
 MINE = ["control.leads"]
@@ -77,7 +78,7 @@ def test_who_is_gone_or_paused_at_the_time_of_the_failure_is_silent(kind: str) -
         own.settle(replace(fate(1, 2, 10), payload=STATE))
         own.event(begins("f", 20, f"{kind} 1"))
         if over:
-            own.event(Event(50, "f", "ends", f"{kind} 1"))
+            own.event(dataclasses.replace(begins("f", 50, f"{kind} 1"), action="ends"))
         own.take(LoggedValues(100, {(i, "error"): (0.0, 0.0, 0.0, 9.0, *([0.0] * 4)) for i in (1, 2, 3)}))
         (verdict,) = own.verdicts(over=False)
         assert verdict.moment is not None and verdict.moment.message is not None

@@ -14,6 +14,7 @@ from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.fault_entry import vehicle_entry
 from fleet.scenario.sections.timeline import Event
 
 OVERRIDES = [
@@ -98,6 +99,14 @@ def test_what_lasts_is_told_while_it_lasts() -> None:
     journal = Journal(scenario, Calls())
     for tick, number, action in ((100, 1, "begins"), (110, 1, "ends"), (120, 2, "begins")):
         name = "tumbled-3" if number == 1 else f"tumbled-3-{number}"
-        journal.happened.append(Event(tick, name, action, "tumbled 3"))
-    row = {"what": "tumbled 3", "times": 2, "first_s": 1.0, "id": "tumbled-3-2", "last_s": 1.2, "lasts": True}
+        journal.happened.append(Event(tick, name, action, "tumbled 3", vehicle_entry("tumbled", 3)))
+    row = {
+        "what": "tumbled 3",
+        "times": 2,
+        "first_s": 1.0,
+        "id": "tumbled-3-2",
+        "entry": '{"tumbled": "3"}',
+        "last_s": 1.2,
+        "lasts": True,
+    }
     assert event_rows(scenario, journal) == [row]

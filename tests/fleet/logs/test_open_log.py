@@ -26,11 +26,11 @@ import fleet
 from fleet.errors import ScenarioError
 from fleet.logs.digest import Digest
 from fleet.logs.export import export, file_names
-from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.open_log import Opening
 from fleet.logs.reader import LogReader, LogReadError, digest
 from fleet.logs.topic import LogKeyError
 from fleet.scenario.loading import load_scenario
+from tests.support.intervals import interval
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_what_the_log_says_of_itself(run: Path) -> None:
     assert log.links == [(1, 2), (2, 1), (2, 3), (3, 2), (3, 4), (4, 3)]
     assert log.end == 2.0
     crash, down = log.faults
-    assert (crash, down) == (FaultInterval("crash", 1.0, 1.5, "kill 2"), FaultInterval("f2", 1.2, 2.0, "down 3->4"))
+    assert (crash, down) == (interval("crash", 1.0, 1.5, "kill 2"), interval("f2", 1.2, 2.0, "down 3->4"))
     assert [(t.id, t.end, t.what) for t in log.events] == [(f"tumbled-{i}", 2.0, f"tumbled {i}") for i in (2, 3)]
     assert len(log) == len(log.topics) == len(list(log))
     assert f"{log.messages} messages in 37 topics, 2 s" in repr(log)

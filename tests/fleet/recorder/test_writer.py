@@ -28,6 +28,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.transforms import quaternion
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.scenario import Scenario
+from fleet.scenario.sections.fault_entry import vehicle_entry
 from fleet.scenario.sections.log_rates import LOG_GROUPS
 from fleet.scenario.sections.signals import OF_THE_PLANT
 from fleet.scenario.sections.timeline import Event
@@ -67,7 +68,7 @@ class Drawn:
             for _ in range(draw.choice([0, 0, 1, 4])):
                 calls.packet(self._fate(tick))
             if draw.random() < 0.1:
-                calls.event(Event(tick, "f", draw.choice(["begins", "ends"]), "kill 2"))
+                calls.event(Event(tick, "f", draw.choice(["begins", "ends"]), "kill 2", vehicle_entry("kill", 2)))
             calls.frame(*self.frame(tick))
         return calls
 

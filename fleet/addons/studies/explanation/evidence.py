@@ -15,12 +15,11 @@ from agents import payload
 from agents.errors import PayloadError
 from agents.localization.payload import decode as decode_located
 from agents.localization.payload import is_located
-from fleet.logs.fault_intervals import kind_and_vehicles
 from fleet.logs.open_log import Log
 from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
-from fleet.scenario.sections.node_names import numbered_words
+from fleet.scenario.sections.fault_entry import entry_kind, entry_vehicles
 from fleet.scenario.sections.signals import parse_name
 from netem.cause import Cause
 from netem.condition import Link
@@ -139,11 +138,8 @@ def evidence(
     faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
     each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
     numbers = log.vehicles or sorted({i for link in log.links for i in link})  # nodes have no topics of their own
-    killing = [fault for fault in log.faults if fault.what.startswith("kill ")]
-    kills = [(f.begin, f.end, kind_and_vehicles(numbered_words(f.what, nodes))) for f in killing]
-    lives = Lives(
-        Absence(i, _ns(begin), _ns(end)) for begin, end, (_, killed) in kills for i in killed if end < log.end
-    )
+    kills = [fault for fault in log.faults if entry_kind(fault.entry) == "kill" and fault.end < log.end]
+    lives = Lives(Absence(i, _ns(one.begin), _ns(one.end)) for one in kills for i in entry_vehicles(one.entry))
     lost: Counter[str] = Counter()
     for packets in each.values():
         lost.update(cause for cause in packets.causes if cause)

@@ -26,7 +26,6 @@ from fleet.errors import FleetError
 from fleet.execution.in_process import InProcess
 from fleet.execution.moments import reach
 from fleet.logs.decoder import Decoder
-from fleet.logs.fault_intervals import FaultInterval
 from fleet.logs.reader import LogReader, OnProgress, Record, log_path
 from fleet.logs.schemas import BELIEF, COMMAND, PACKET, ROLL, STATE, MessageField
 from fleet.logs.topic_names import link_of
@@ -308,7 +307,7 @@ def draw(found: WhatIf, path: Path, digest: str) -> None:
         notes.append(bounds(ax, [(-most, most)], f"limits of the {name}", unit))
         ax.set_ylabel(f"{name} [{unit}]")
     axes[0].set_xlim(float(found.t[0]), float(found.t[-1]))
-    numbered = shade(axes, [FaultInterval(*fault) for fault in timeline(found.scenario)])
+    numbered = shade(axes, timeline(found.scenario))
     axes[-1].set_xlabel("time [s]")
     legend(figure, axes[0], 1)
     write_caption(figure, [*filter(None, notes), *numbered])

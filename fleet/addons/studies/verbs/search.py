@@ -166,10 +166,10 @@ def _enough(scenario: Scenario, triggered: Mapping[str, str]) -> str:
 
     end_s, faults = scenario.duration_ns / 1e9, timeline(scenario)
     each = [
-        f"{what} "
-        + (f"from {begin:g} s" if end >= end_s else f"for {end - begin:g} s from {begin:g} s")
-        + (f" ({triggered[name]})" if name in triggered else "")
-        for name, begin, end, what in faults[:MOST_FAULTS]
+        f"{one.what} "
+        + (f"from {one.begin:g} s" if one.end >= end_s else f"for {one.end - one.begin:g} s from {one.begin:g} s")
+        + (f" ({triggered[one.id]})" if one.id in triggered else "")
+        for one in faults[:MOST_FAULTS]
     ]
     more = [f"{len(faults) - len(each)} more"] if len(faults) > len(each) else []
     count = f"{'One fault is' if len(faults) == 1 else f'{len(faults)} faults are'} enough"

@@ -24,10 +24,10 @@ def test_a_fault_in_words_is_the_same_as_in_the_file() -> None:
 
 def test_faults_come_behind_those_of_the_scenario() -> None:
     both = small("faults=[{at: 800 ms, mute: 1, id: quiet}]", HALVES)
-    assert [row[0] for row in timeline(both)] == ["f2", "quiet"]
+    assert [fault.id for fault in timeline(both)] == ["f2", "quiet"]
     drawn = small("nemesis={every: 300 ms, for: 100 ms, pick: [mute]}", KILL)
     assert len(drawn.spec.faults) > 1
-    assert "kill 3" in [what for *_, what in timeline(drawn)]
+    assert "kill 3" in [fault.what for fault in timeline(drawn)]
 
 
 def test_an_empty_list_of_faults_takes_one() -> None:

@@ -235,6 +235,7 @@ def test_run_on_a_wall_clock_and_published(tmp_path: Path) -> None:
     result = invoke("run", "paper", "--duration", "1 s", "--clock", "real", "--max-missed", "100%", *NO_CHECKS,
                     "--publish", "--out", tmp_path, "--json", "-q")  # fmt: skip
     found = printed(Result, result)
+    assert "warning: --clock real is deprecated" in result.stderr and "fleet netem" in result.stderr
     assert found.published is not None
     assert (found.timing.clock, list(found.timing.vehicles)) == ("real", ["1", "2", "3", "4"])
 

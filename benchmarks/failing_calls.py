@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import click
 
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 
 _SOURCE = Path(__file__).with_name("failing_calls.c")
 _SHORT = ["--set", "duration=1 s", "--set", "checks={}"]

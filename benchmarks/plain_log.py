@@ -9,9 +9,9 @@ from struct import pack
 
 from mcap.writer import CompressionType, Writer
 
-from fleet.logs.batch import Batch
-from fleet.logs.mcap_writer import CHUNK_BYTES
 from fleet.logs.schemas import Schema
+from fleet.mcap.batch import Batch
+from fleet.mcap.writer import CHUNK_BYTES
 from fleet.recorder.log_file import SECOND_NS
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from benchmarks.plain_log import PlainLog
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.in_process import InProcess
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.metrics import VehicleError

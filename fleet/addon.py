@@ -42,7 +42,7 @@ class AddOn:
         companions: what goes beside a run, and the options of `fleet run` and others that ask for it
             (`fleet.cli.companion.Companion`).
         exporters: what `fleet export` writes besides tables (`fleet.cli.exporter.Exporter`).
-        readers: what commands take in place of a log (`fleet.logs.other.OtherData`).
+        readers: what commands take in place of a log (`fleet.mcap.other.OtherData`).
         listings: further tables of `fleet list` (`fleet.cli.listing.Listing`).
         fault_kinds: kinds of faults (`fleet.scenario.faults.kind.FaultKind`).
         hints: what users of other tools, or of earlier versions, type in place of a verb, and what it is called here.
@@ -77,7 +77,7 @@ class AddOn:
 PLACES = {
     "companions": "fleet.cli.companion:Companion",
     "exporters": "fleet.cli.exporter:Exporter",
-    "readers": "fleet.logs.other:OtherData",
+    "readers": "fleet.mcap.other:OtherData",
     "listings": "fleet.cli.listing:Listing",
     "fault_kinds": "fleet.scenario.faults.kind:FaultKind",
 }

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fleet.cli.types import TIME as TIME
     from fleet.errors import FleetError as FleetError
     from fleet.execution.options import Options as Options
-    from fleet.logs.other import OtherData as OtherData
+    from fleet.mcap.other import OtherData as OtherData
     from fleet.option import Option as Option
     from fleet.scenario.faults.kind import FaultKind as FaultKind
     from fleet.scenario.faults.kind import OfFleet as OfFleet
@@ -43,7 +43,7 @@ _PLACES = {
     "OfVehicles": "fleet.scenario.faults.kind",
     "Option": "fleet.option",
     "Options": "fleet.execution.options",
-    "OtherData": "fleet.logs.other",
+    "OtherData": "fleet.mcap.other",
     "Scenario": "fleet.scenario.scenario",
     "Selection": "fleet.cli.exporter",
     "TIME": "fleet.cli.types",

@@ -12,7 +12,7 @@ from fleet.cli.declare import command
 from fleet.cli.exporter import Exporters, Selection
 from fleet.cli.log_argument import Log, check_options
 from fleet.cli.types import FOLDER, Force, NoProgress
-from fleet.logs.other import other_data
+from fleet.mcap.other import other_data
 from fleet.option import Option, fields
 from fleet.terminal.progress import showing
 from fleet.terminal.width import say

@@ -44,8 +44,8 @@ def replay(
       fleet replay --speed 0 --wait-for-subscribers --topics 'uuv/*/pose'
       fleet replay robot.mcap --loop --start '20 s' --end '30 s' --connect tcp/127.0.0.1:7447
     """
-    from fleet.logs.reader import log_path
-    from fleet.logs.seekable_log import SeekableLog
+    from fleet.mcap.reader import log_path
+    from fleet.mcap.seekable_log import SeekableLog
     from fleet.replay.playback import Replay
     from fleet.terminal.keyboard import Keyboard
 

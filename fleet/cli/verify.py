@@ -66,8 +66,8 @@ def diff(
     """
     from fleet.logs.deviation import compare, deviation_lines
     from fleet.logs.difference import begin_ns, besides_messages
-    from fleet.logs.reader import LogReader, log_path
     from fleet.logs.schemas import FROM
+    from fleet.mcap.reader import LogReader, log_path
 
     second = newest_log() if b is None else b
     if b is None and log_path(a).exists() and log_path(a).samefile(log_path(second)):
@@ -123,9 +123,9 @@ def recover(
       fleet recover cut.mcap -o clean.mcap
       fleet recover bag                   a bag whose recorder was killed
     """
-    from fleet.logs.other import known_as
-    from fleet.logs.recover import recover as write
-    from fleet.logs.recover import recovery_text
+    from fleet.mcap.other import known_as
+    from fleet.mcap.recover import recover as write
+    from fleet.mcap.recover import recovery_text
 
     with showing(f"recovering {log}") as on_progress:
         kind = known_as(log)

@@ -1,1 +1,1 @@
-"""Reading logs, whole, cut or damaged, as messages, arrays or tables."""
+"""Logs of runs as messages, arrays and tables: topics and their schemas, differences, exports."""

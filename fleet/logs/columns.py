@@ -14,9 +14,9 @@ from google.protobuf.message import DecodeError
 from mcap.records import Schema
 
 from fleet.logs.decoder import message_class
-from fleet.logs.reader import LogReadError
-from fleet.logs.records import Array
 from fleet.logs.schemas import head
+from fleet.mcap.reader import LogReadError
+from fleet.mcap.records import Array
 from netem.limits import LOG_MESSAGE
 
 _WORDS = 4096  # different texts of a column that are held once only

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fleet.errors import FleetError
-from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
+from fleet.mcap.reader import LogReadError
 
 if TYPE_CHECKING:
     import pandas as pd

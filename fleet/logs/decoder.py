@@ -12,8 +12,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError, Message
 from mcap.records import Channel, Schema
 
-from fleet.logs.reader import LogReader, LogReadError, Record
 from fleet.logs.schemas import OURS, MessageField
+from fleet.mcap.reader import LogReader, LogReadError, Record
 from fleet.scenario.sections.signals import component
 from netem.limits import LOG_MESSAGE
 

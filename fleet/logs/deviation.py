@@ -18,8 +18,8 @@ import numpy as np
 
 from fleet.logs.decoder import Decoder, FieldValue
 from fleet.logs.difference import Difference, _table, alike, begin_ns, difference, side
-from fleet.logs.reader import LogReader, Record
-from fleet.logs.records import Block
+from fleet.mcap.reader import LogReader, Record
+from fleet.mcap.records import Block
 
 MOST_WAITING_BYTES = 64 << 20  # unmatched messages that are held, per log
 _STEP = 4096  # messages that are compared at once

@@ -13,8 +13,8 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from fleet.logs.decoder import Decoder, FieldValue
-from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import FROM, FROM_TICK, OLD_START, START
+from fleet.mcap.reader import LogReader, Record
 
 _NUMBERS = re.compile(r"(?<=/)\d+(-\d+)?")
 

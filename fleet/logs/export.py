@@ -24,10 +24,10 @@ from fleet.errors import FleetError
 from fleet.logs.columns import objects
 from fleet.logs.dataset import EXTRA, dataset, frame_attributes
 from fleet.logs.open_log import Log
-from fleet.logs.reader import LogReader, OnProgress
-from fleet.logs.records import Array, Block
 from fleet.logs.table import TableColumn, columns, fits, need
 from fleet.logs.topic import Topic
+from fleet.mcap.reader import LogReader, OnProgress
+from fleet.mcap.records import Array, Block
 from netem.whole_file import part_of
 
 INDEX = "export.json"

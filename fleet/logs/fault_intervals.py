@@ -7,8 +7,8 @@ from typing import Annotated, Any, NamedTuple
 
 from msgspec import Meta, Struct
 
-from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
+from fleet.mcap.reader import LogReadError
 from fleet.scenario.sections.timeline import FaultInterval
 from fleet.scenario.text.fault_words import entry_of_words
 from netem.limits import LOG_FAULTS

@@ -13,9 +13,9 @@ from msgspec import Meta, Struct
 from fleet.errors import printable
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import FaultTime, fault_message, intervals
-from fleet.logs.reader import LogReader, OnProgress, Record, log_path, log_size
 from fleet.logs.schemas import NODES
-from fleet.logs.traffic import is_attachment
+from fleet.mcap.reader import LogReader, OnProgress, Record, log_path, log_size
+from fleet.mcap.traffic import is_attachment
 from fleet.scenario.sections.timeline import FaultInterval
 from fleet.scenario.sections.vehicle_events import VehicleEvents, vehicle_events
 from netem.limits import LOG_FAULTS

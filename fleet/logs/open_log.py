@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
 
-from fleet.logs.digest import Digest
 from fleet.logs.fault_intervals import fault_intervals
-from fleet.logs.reader import LogReader, LogReadError, OnProgress, digest, log_path, log_size
-from fleet.logs.records import Block
 from fleet.logs.schemas import FROM_TICK, NODES
 from fleet.logs.topic import STEP, LogKeyError, Topic
 from fleet.logs.topic_names import link_of
-from fleet.logs.traffic import is_attachment
+from fleet.mcap.digest import Digest
+from fleet.mcap.reader import LogReader, LogReadError, OnProgress, digest, log_path, log_size
+from fleet.mcap.records import Block
+from fleet.mcap.traffic import is_attachment
 from fleet.notebook import html_table
 from fleet.scenario.sections.timeline import FaultInterval
 from netem.parsing import nearest

@@ -15,8 +15,8 @@ import numpy as np
 
 from fleet.errors import FleetError
 from fleet.logs.columns import objects
-from fleet.logs.records import Array
 from fleet.logs.topic import Topic
+from fleet.mcap.records import Array
 from fleet.scenario.sections.signals import component
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from mcap.records import Channel, Schema
 
 from fleet.logs.columns import Columnizer, Columns, cost, extremes, joined
 from fleet.logs.decoder import declared_by
-from fleet.logs.other import MadeColumns, columns_of
-from fleet.logs.reader import LogReadError
-from fleet.logs.records import Array, Block
+from fleet.mcap.other import MadeColumns, columns_of
+from fleet.mcap.reader import LogReadError
+from fleet.mcap.records import Array, Block
 from netem.parsing import nearest
 
 STEP = 8 << 20  # bytes that are decoded at once

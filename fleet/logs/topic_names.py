@@ -6,7 +6,7 @@ import json
 import re
 from pathlib import Path
 
-from fleet.logs.reader import LogReader, log_path
+from fleet.mcap.reader import LogReader, log_path
 from fleet.scenario.sections.signals import GROUPS
 from netem.condition import Link
 

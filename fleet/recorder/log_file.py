@@ -10,10 +10,10 @@ from typing import IO
 from mcap.records import Attachment
 
 from fleet.errors import FleetError
-from fleet.logs.batch import Batch
-from fleet.logs.digest import Digest
-from fleet.logs.mcap_writer import McapWriter
 from fleet.logs.schemas import Schema
+from fleet.mcap.batch import Batch
+from fleet.mcap.digest import Digest
+from fleet.mcap.writer import McapWriter
 from fleet.recorder.metrics import VehicleError
 from fleet.scenario.sections.timeline import Event
 from netem.wire.messages import Command, Fate, Frame

@@ -23,7 +23,6 @@ from agents.signals import SignalLayout
 from fleet.checks.values import BELIEF_SIZE as BELIEF_SIZE
 from fleet.checks.values import LOCATED_SIZE as LOCATED_SIZE
 from fleet.checks.values import belief_values, located_values
-from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
 from fleet.logs.schemas import (
     BELIEF,
     CLOCK_ERROR,
@@ -36,6 +35,7 @@ from fleet.logs.schemas import (
     pose_parts,
     signal_columns,
 )
+from fleet.mcap.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.scene.primitives import NED
 from fleet.recorder.transforms import quaternion

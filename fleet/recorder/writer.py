@@ -22,7 +22,6 @@ from msgspec.structs import astuple
 
 from agents.config import AgentConfig
 from agents.controllers import law_class, laws
-from fleet.logs.batch import Batch
 from fleet.logs.schemas import (
     BELIEF,
     CARRIED,
@@ -52,6 +51,7 @@ from fleet.logs.schemas import (
     varint,
 )
 from fleet.logs.topic_names import link_topic, said_topic
+from fleet.mcap.batch import Batch
 from fleet.recorder.log_file import SECOND_NS
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.scene.messages import SCENE_UNITS, LinkHistories, Scene

@@ -14,9 +14,9 @@ from fleet.checks.values import LoggedValues, Values
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import fault_message
-from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, MessageField
 from fleet.logs.topic_names import link_topic
+from fleet.mcap.reader import LogReader, Record
 from fleet.repeat.recorded_run import recorded
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario

@@ -22,7 +22,6 @@ from agents.sample import Decision
 from agents.signals import SignalLayout
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder, decoded
-from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import (
     COMMAND,
     PACKET,
@@ -31,6 +30,7 @@ from fleet.logs.schemas import (
     signal_columns,
 )
 from fleet.logs.topic_names import link_of, said_topic
+from fleet.mcap.reader import LogReader, Record
 from fleet.scenario.scenario import Scenario
 from netem.condition import Link
 from netem.impairment import LinkModel

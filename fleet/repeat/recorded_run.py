@@ -11,8 +11,8 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import FaultMessage, fault_message
-from fleet.logs.reader import LogReader, OnProgress, Record, log_path
 from fleet.logs.schemas import CLOCK, FAULT, FROM, NODES
+from fleet.mcap.reader import LogReader, OnProgress, Record, log_path
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario

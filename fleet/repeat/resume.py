@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.logs.reader import OnProgress, digest
+from fleet.mcap.reader import OnProgress, digest
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.start import Leg, Start, set_up_otherwise
 from fleet.repeat.recorded_run import Recorded

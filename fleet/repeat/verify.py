@@ -21,10 +21,8 @@ from fleet.execution.clock import GrantPolicy
 from fleet.execution.external_agents import named
 from fleet.execution.in_process import in_process
 from fleet.execution.moments import reach
-from fleet.logs.batch import Batch
 from fleet.logs.decoder import Decoder
 from fleet.logs.difference import Difference, Side, difference, side
-from fleet.logs.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.logs.schemas import (
     FROM,
     OLD_START,
@@ -32,6 +30,8 @@ from fleet.logs.schemas import (
     START,
     Schema,
 )
+from fleet.mcap.batch import Batch
+from fleet.mcap.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.recorder.start import Leg, Start
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_agent import NotRecordedError, recorded_agents

@@ -18,8 +18,8 @@ from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
 
 from fleet.errors import FleetError
-from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
-from fleet.logs.traffic import ATTACHMENT, DELETE, ENCODING, KIND, PUT
+from fleet.mcap.traffic import ATTACHMENT, DELETE, ENCODING, KIND, PUT
+from fleet.mcap.writer import CHUNK_BYTES, McapWriter
 from fleet.terminal.status_line import StatusLine
 from netem.limits import LOG_RECORD
 from netem.wire.key_expression import matching

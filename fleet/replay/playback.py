@@ -10,8 +10,8 @@ from mcap.records import Channel
 
 from fleet.errors import FleetError
 from fleet.logs.decoder import UNITS
-from fleet.logs.seekable_log import Entry, SeekableLog, Track
-from fleet.logs.traffic import ATTACHMENT, DELETE, ENCODING, KIND
+from fleet.mcap.seekable_log import Entry, SeekableLog, Track
+from fleet.mcap.traffic import ATTACHMENT, DELETE, ENCODING, KIND
 from fleet.replay.capture import zenoh_encoding
 from fleet.replay.player import RATE_STEP, SEEK_NS, MeasuredRate, PlaybackOptions, Player
 from fleet.replay.topics import Stamp, hand_out, pack

@@ -187,7 +187,7 @@ def test_replay_knows_no_scenario() -> None:
     """It cannot import what a scenario names if it cannot read one; so do the commands that look at a running one."""
     code = (
         "import sys, fleet.cli.main, fleet.cli.replay, fleet.replay.playback, fleet.replay.player, "
-        "fleet.replay.capture, fleet.logs.info, fleet.execution.connection, fleet.logs.recover, fleet.logs.deviation; "
+        "fleet.replay.capture, fleet.logs.info, fleet.execution.connection, fleet.mcap.recover, fleet.logs.deviation; "
         "sys.exit('fleet.scenario.scenario' in sys.modules)"
     )
     assert python("-P", "-c", code).returncode == 0

@@ -31,7 +31,7 @@ from fleet.cli.group import command_of
 from fleet.cli.listing import Listing
 from fleet.errors import ScenarioError
 from fleet.execution.options import Options
-from fleet.logs.other import OtherData
+from fleet.mcap.other import OtherData
 from fleet.option import Option
 from fleet.scenario.faults.kind import OfFleet
 from fleet.scenario.faults.kinds import KINDS, every_kind

@@ -41,8 +41,8 @@ from agents.payload import encode as state_payload
 from fleet.errors import FleetError, ScenarioError
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.operator import Operator
-from fleet.logs.reader import LogReader
-from fleet.logs.recover import recover
+from fleet.mcap.reader import LogReader
+from fleet.mcap.recover import recover
 from fleet.recorder.journal import Journal
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario, parse_scenario

@@ -28,7 +28,7 @@ from fleet.addons.hosts.rendezvous import new_credentials, read_credentials
 from fleet.addons.studies.store import Store
 from fleet.errors import FleetError
 from fleet.execution.connection import find
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.replay.observed import read_observed
 from fleet.result.file import read_result
 from fleet.scenario.loading import load_scenario

@@ -20,7 +20,7 @@ from small_scenario import small
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario, parse_scenario

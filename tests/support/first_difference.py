@@ -8,7 +8,7 @@ from typing import Any
 
 from fleet.logs.decoder import Decoder
 from fleet.logs.difference import besides_messages, difference, side
-from fleet.logs.reader import LogReader, Record
+from fleet.mcap.reader import LogReader, Record
 
 
 def assert_same_bytes(a: Path, b: Path) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 
-from fleet.logs.records import MAGIC
+from fleet.mcap.records import MAGIC
 
 HEAD, MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 import psutil
 from waiting import wait_for
 
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 
 FORKSERVER = "forkserver"
 # For a machine that does other things at the same time; what is promised is in the tests.

@@ -12,8 +12,8 @@ from live import Command as Command
 from repository import ROOT
 from waiting import wait_for
 
-from fleet.logs.reader import LogReader, LogReadError, Record
-from fleet.logs.seekable_log import SeekableLog
+from fleet.mcap.reader import LogReader, LogReadError, Record
+from fleet.mcap.seekable_log import SeekableLog
 from fleet.processes.ports import free_port
 from netem.wire.open_bus import OpenBus, ZenohSample, place_of, sample_of
 

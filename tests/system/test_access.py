@@ -30,7 +30,7 @@ import fleet.execution.launch
 import netem.wire.bus
 import netem.wire.credentials
 from fleet.execution.directory import RunDirectory
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.processes.run_folder import RunFolder
 from fleet.result.result import Status
 from netem.errors import BusError

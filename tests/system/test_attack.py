@@ -21,7 +21,7 @@ from waiting import wait_for
 
 import fleet.execution.launch
 from fleet.execution.directory import RunDirectory
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.result.result import Result, Status
 from netem.wire.bus import Bus
 from netem.wire.codec import encode

@@ -24,7 +24,7 @@ import fleet.execution.launch
 from agents.controllers import TRACKING
 from fleet.execution.clock import GrantPolicy
 from fleet.execution.directory import RunDirectory
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.result.result import Result, Status
 from netem.wire.bus import Bus
 from netem.wire.codec import encode

@@ -25,7 +25,7 @@ from spawned import fleet
 from tool import invoke
 from waiting import wait_for
 
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.result.result import Status
 
 

@@ -25,7 +25,7 @@ from marks import slow
 from spawned import python
 from waiting import wait_for
 
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.processes import children
 from fleet.processes.children import Children
 from fleet.processes.interrupts import DeferInterrupts, HungUp, holding_interrupts

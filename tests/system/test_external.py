@@ -24,7 +24,7 @@ from waiting import wait_for
 from agents.join import serve
 from agents.join_file import JoinFile, NotYetError
 from fleet.errors import FleetError
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from fleet.result.result import Status
 from fleet.scenario.loading import load_scenario, parse_scenario
 from netem.wire.messages import PROTOCOL_VERSION

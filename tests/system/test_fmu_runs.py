@@ -22,7 +22,7 @@ from fleet.addons.studies.one_run import Task, make_run
 from fleet.addons.studies.row import Row
 from fleet.addons.studies.shrink import tree_of
 from fleet.logs.open_log import open_log
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 

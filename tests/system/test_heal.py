@@ -14,7 +14,7 @@ from waiting import wait_for
 from fleet.execution.connection import RemoteError, ask
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.scenario.loading import load_scenario
 from netem.lives import Absence

@@ -18,7 +18,7 @@ from waiting import wait_for
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from fleet.repeat.recorded_run import script
 from fleet.scenario.loading import parse_scenario
 

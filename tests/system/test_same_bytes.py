@@ -20,7 +20,7 @@ from mcap.stream_reader import StreamReader
 from spawned import fleet
 
 from fleet.execution.directory import RunDirectory
-from fleet.logs.reader import LogReader, digest
+from fleet.mcap.reader import LogReader, digest
 from fleet.repeat.verify import verification_lines, verify
 from fleet.result.result import Status
 from netem.wire.vehicle_bus import Ends

@@ -17,7 +17,7 @@ from repository import ROOT
 import fleet
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.text.overrides import FAULT, Override

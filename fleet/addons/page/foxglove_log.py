@@ -17,8 +17,8 @@ from fleet.addons.page.foxglove_server import (
     PlaybackRequest,
     Subscription,
 )
-from fleet.logs.seekable_log import SeekableLog, Track
-from fleet.logs.traffic import ATTACHMENT, DELETE, KIND
+from fleet.mcap.seekable_log import SeekableLog, Track
+from fleet.mcap.traffic import ATTACHMENT, DELETE, KIND
 from fleet.replay.playback import obey
 from fleet.replay.player import SEEK_NS, Player
 from fleet.terminal.keyboard import Key, Keyboard

@@ -26,12 +26,12 @@ from fleet.addons.page.view_state import HISTORY_S, NOT_PLACED, Row, ViewState, 
 from fleet.logs.difference import begin_ns
 from fleet.logs.fault_intervals import FaultMessage, intervals
 from fleet.logs.open_log import Log, Opening
-from fleet.logs.reader import LogReadError
-from fleet.logs.records import Array
 from fleet.logs.run_name import run_name
-from fleet.logs.seekable_log import SeekableLog, Track
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import believer_of, link_of, link_topic
+from fleet.mcap.reader import LogReadError
+from fleet.mcap.records import Array
+from fleet.mcap.seekable_log import SeekableLog, Track
 from fleet.quantities import vehicle_numbers
 from fleet.repeat.recorded_run import recorded
 from fleet.replay.player import Player

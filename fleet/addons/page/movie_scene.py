@@ -21,7 +21,7 @@ from fleet.addons.page.view_state import SAMPLE_S, Row, ViewState
 from fleet.addons.pictures.look import LABEL_PT, LEGEND_PT, TEXT_PT
 from fleet.addons.pictures.shades import union
 from fleet.addons.pictures.style import THIN
-from fleet.logs.records import Array
+from fleet.mcap.records import Array
 from fleet.palette import COLOURS
 from fleet.recorder.scene.link_state import CUT, LinkState
 from fleet.recorder.scene.model import LEAST_FLIGHT_S, MOST_FLIGHT_S, STOPS, TRAIL_S, LegendRow

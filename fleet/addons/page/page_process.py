@@ -26,7 +26,7 @@ from fleet.addons.page.server import PageListener, serve
 from fleet.addons.page.source import LiveSource, find_source
 from fleet.errors import FleetError
 from fleet.execution.directory import OBSERVE
-from fleet.logs.reader import log_path
+from fleet.mcap.reader import log_path
 from fleet.processes.side_process import begin, end, pipe
 
 CLOSE_S = 5.0

@@ -11,7 +11,7 @@ from fleet.execution.connection import LiveRun, RemoteError, choose, find, named
 from fleet.execution.directory import OBSERVE, SCENARIO, in_use
 from fleet.execution.past_runs import newest_run
 from fleet.execution.registry import registered
-from fleet.logs.reader import log_path
+from fleet.mcap.reader import log_path
 from fleet.replay.observed import Observed, read_observed
 from netem.files import DamagedFile
 

@@ -21,7 +21,7 @@ from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES, draw_limits
 from fleet.addons.pictures.thresholds import age_limits, thresholds
 from fleet.errors import FleetError
-from fleet.logs.records import Array
+from fleet.mcap.records import Array
 from fleet.scenario.sections.signal_checks import checked_signals
 from fleet.scenario.sections.signals import GROUPS, OF_THE_LAWS, SignalName, component, parse_name
 from netem.parsing import nearest

@@ -21,7 +21,7 @@ from fleet.addons.pictures.look import column_in, label_pt, legend_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.addons.pictures.shades import MOST_CHARACTERS, shade, words
 from fleet.addons.pictures.style import HALO, NORMAL, STYLE_NAMES, STYLES, THIN, limit, panels
-from fleet.logs.records import Array
+from fleet.mcap.records import Array
 from fleet.palette import COLOURS
 from fleet.scenario.sections.timeline import FaultInterval
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fleet.logs.open_log import Log
-from fleet.logs.records import Array
 from fleet.logs.topic import Topic
+from fleet.mcap.records import Array
 from fleet.scenario.sections.signals import OF_LOCALIZATION, OF_NAVIGATION
 
 

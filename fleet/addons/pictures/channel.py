@@ -21,9 +21,9 @@ from fleet.addons.pictures.exchange import FATES, links_between, name_rows, rank
 from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
 from fleet.logs.open_log import open_log
-from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
 from fleet.logs.transmissions import AT_START, UNSENT, begin_of, end_of, name_of
+from fleet.mcap.records import Array
 from netem.cause import Cause
 from netem.condition import Link
 from netem.modem import AcousticConfig

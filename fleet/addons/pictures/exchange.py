@@ -17,8 +17,8 @@ from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
 from fleet.addons.pictures.style import THIN, plain_decades
 from fleet.addons.pictures.thresholds import age_limits, draw_thresholds
-from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
+from fleet.mcap.records import Array
 from fleet.palette import COLOURS
 from fleet.scenario.sections.fault_entry import entry_kind, entry_vehicles
 from netem.cause import Cause

@@ -25,8 +25,8 @@ from fleet.addons.pictures.time_series import consensus, formation, inputs
 from fleet.addons.pictures.verbs.choice import PictureChoice, drawn_alike
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log
-from fleet.logs.reader import OnProgress
 from fleet.logs.topic import TooLargeError
+from fleet.mcap.reader import OnProgress
 from fleet.notebook import Pictures
 from fleet.scenario.sections.signals import parse_name
 

@@ -21,8 +21,8 @@ from fleet.addons.pictures.exchange import FATES, fates_of, links_between, name_
 from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
 from fleet.logs.payload_kinds import DAMAGED, count_kinds
-from fleet.logs.records import Array
 from fleet.logs.topic_names import link_topic
+from fleet.mcap.records import Array
 from netem.cause import Cause
 from netem.condition import Link
 

@@ -34,9 +34,9 @@ from fleet.addons.pictures.page import (
 from fleet.addons.pictures.runs import Run, View, first_words
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES
 from fleet.logs.payload_kinds import KindCount, count_kinds
-from fleet.logs.reader import OnProgress
 from fleet.logs.run_name import begun_at, run_name
 from fleet.logs.topic_names import link_topic
+from fleet.mcap.reader import OnProgress
 from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import LinkAge, Result

@@ -16,8 +16,8 @@ from fleet.addons.pictures.labels import distinct, labels_of, named
 from fleet.addons.pictures.style import Provenance
 from fleet.errors import FleetError
 from fleet.logs.open_log import MOST_HELD, Log, Opening
-from fleet.logs.reader import check_readable
-from fleet.logs.records import Array
+from fleet.mcap.reader import check_readable
+from fleet.mcap.records import Array
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario

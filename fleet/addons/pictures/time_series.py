@@ -31,7 +31,7 @@ from fleet.addons.pictures.style import (
     panels,
     plain_decades,
 )
-from fleet.logs.records import Array
+from fleet.mcap.records import Array
 from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.signals import SignalName
 

@@ -33,7 +33,7 @@ from fleet.addons.pictures.caption import write_caption
 from fleet.addons.pictures.look import column_in, label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
 from fleet.addons.pictures.style import NORMAL, STYLES, THIN
-from fleet.logs.records import Array
+from fleet.mcap.records import Array
 from fleet.palette import COLOURS
 from fleet.recorder.scene.belief import ellipse
 from fleet.recorder.scene.model import SceneModel

@@ -90,7 +90,7 @@ class BagOfRos(Exporter):
     def write(self, log: Path, selection: Selection, *, force: bool) -> Iterable[Path]:
         """Write it, with all topics that have a type in ROS 2. Raises FleetError: it cannot be written."""
         from fleet.addons.robots.ros2.bag import write_bag
-        from fleet.logs.reader import log_path
+        from fleet.mcap.reader import log_path
 
         with showing(f"writing {self.folder}") as on_progress:
             paths, missing = write_bag(log_path(log), self.options.ros2, on_progress)

@@ -23,8 +23,8 @@ from fleet.addons.robots.ros2 import rmw
 from fleet.errors import FleetError
 from fleet.logs.export import file_names
 from fleet.logs.link_traces import write_files
-from fleet.logs.reader import LogReader, OnProgress, log_path
-from fleet.logs.traffic import ATTACHMENT, DELETE, KIND
+from fleet.mcap.reader import LogReader, OnProgress, log_path
+from fleet.mcap.traffic import ATTACHMENT, DELETE, KIND
 from fleet.replay.capture import PROFILE
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable
 from netem.limits import TRACE

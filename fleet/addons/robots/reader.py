@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mcap.records import Schema
 
-    from fleet.logs.other import MadeColumns, Recovered
+    from fleet.mcap.other import MadeColumns, Recovered
 
 _HEAD = b"\x89MCAP0\r\n\x01"  # of a file whose first record is its header; its length and profile follow
 _PROFILE = b"\x04\x00\x00\x00ros2"

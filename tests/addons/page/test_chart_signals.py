@@ -8,7 +8,7 @@ import pytest
 from in_process_runs import Alone, log_of
 
 from fleet.addons.page.chart_signals import OF_THE_FLEET, Signals, commands_of
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 
 
 @pytest.fixture

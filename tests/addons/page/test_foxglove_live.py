@@ -24,8 +24,8 @@ from fleet.addons.page.foxglove_live import OVER, LiveBridge
 from fleet.addons.page.source import LiveSource, find_source
 from fleet.errors import FleetError
 from fleet.logs.open_log import open_log
-from fleet.logs.reader import LogReader
-from fleet.logs.seekable_log import SeekableLog
+from fleet.mcap.reader import LogReader
+from fleet.mcap.seekable_log import SeekableLog
 from fleet.replay.live_journal import LiveJournal, pack_counts
 from fleet.replay.observed import Observed, host_observed, new_observed
 from fleet.replay.playback import Replay

@@ -15,8 +15,8 @@ from traffic import records as records
 from waiting import wait_for
 
 from fleet.addons.page.foxglove_log import LogBridge
-from fleet.logs.reader import Record
-from fleet.logs.seekable_log import SeekableLog
+from fleet.mcap.reader import Record
+from fleet.mcap.seekable_log import SeekableLog
 from fleet.terminal.keyboard import Key
 
 S = 1_000_000_000
@@ -131,7 +131,7 @@ def test_the_keyboard_steps_and_holds(log: Path) -> None:
 
 def test_a_log_of_another_program_is_shown_as_well(tmp_path: Path) -> None:
     """With its own times; a topic without a schema, and one of two channels, too."""
-    from fleet.logs.mcap_writer import McapWriter
+    from fleet.mcap.writer import McapWriter
 
     path = tmp_path / "robot.mcap"
     with path.open("wb") as file:

@@ -15,7 +15,7 @@ from fleet.addons.page.log_feed import LogFeed
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.open_log import open_log
-from fleet.logs.reader import LogReadError
+from fleet.mcap.reader import LogReadError
 from fleet.repeat.resume import continuation
 
 SHORT = (

@@ -20,8 +20,8 @@ from fleet.addons.page.feed import TRANSFORMS, fault_message, is_lost, take
 from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.page.view_state import ViewState
 from fleet.logs.decoder import decoded
-from fleet.logs.reader import LogReadError
-from fleet.logs.seekable_log import SeekableLog
+from fleet.mcap.reader import LogReadError
+from fleet.mcap.seekable_log import SeekableLog
 from netem.limits import LOG_FAULTS, LOG_MESSAGE
 
 MIB = 1 << 20

@@ -15,7 +15,7 @@ from repository import ROOT
 from fleet.addons.pictures.gallery import write
 from fleet.addons.pictures.look import COLUMN_IN, LABEL_PT, LEGEND_PT, TEXT_PT
 from fleet.addons.pictures.runs import View, load
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 
 
 @pytest.fixture(scope="module")

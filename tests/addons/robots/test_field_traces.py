@@ -16,7 +16,7 @@ from fleet.addons.robots.field_traces import FieldSelection, RecordedMessage, tr
 from fleet.addons.robots.link_fit import fit
 from fleet.addons.robots.ros2.rmw import Attachment, pack
 from fleet.errors import FleetError
-from fleet.logs.mcap_writer import McapWriter
+from fleet.mcap.writer import McapWriter
 from fleet.replay.capture import TrafficWriter
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario

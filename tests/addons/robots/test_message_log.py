@@ -10,7 +10,7 @@ import pytest
 from fleet.addons.robots.message_log import MessageLog, place_of
 from fleet.addons.robots.ros2.types import types_of
 from fleet.errors import FleetError
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.recorder.log_file import LogFile
 from netem.relay_messages import LoggedMessage
 

@@ -18,7 +18,7 @@ from showing import going_on
 from stacks import Stack
 from waiting import wait_for
 
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 
 pytest.importorskip("zenoh_ros2_sdk")
 ROBOT = ROOT / "tests" / "support" / "ros_robot.py"

@@ -21,7 +21,7 @@ from stacks import Stack, program
 from tool import invoke
 from waiting import wait_for
 
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.result.file import read_result
 from fleet.result.result import Result
 from netem.limits import TOKENS

@@ -29,7 +29,7 @@ from fleet.__main__ import _command_line
 from fleet.addons.studies.catalogue import shipped_studies
 from fleet.cli.group import report
 from fleet.errors import FleetError
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from fleet.recorder.log_file import LogError
 from fleet.scenario.catalogue import list_scenarios
 from fleet.scenario.loading import load_scenario

@@ -16,7 +16,7 @@ from small_scenario import small
 import fleet
 from fleet.execution.stepped_run import Run
 from fleet.execution.whole_run import run as run_once
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from fleet.repeat.verify import verify
 from fleet.result.result import Result, Status
 

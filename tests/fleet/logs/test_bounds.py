@@ -26,7 +26,7 @@ import fleet
 from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, seekable_log, topic
 from fleet.logs.info import info_text, read_info
 from fleet.logs.open_log import Opening, Part
-from fleet.logs.reader import LogReader, LogReadError
+from fleet.mcap.reader import LogReader, LogReadError
 from fleet.terminal import progress
 from netem.limits import LOG_FAULTS, LOG_MESSAGE, LOG_RECORD, LOG_REST
 from netem.whole_file import whole_file

@@ -15,9 +15,9 @@ from mcap.records import Schema
 from tool import invoke
 
 import fleet
-from fleet.logs.reader import LogReader
-from fleet.logs.records import MAGIC, parse
-from fleet.logs.recover import recover
+from fleet.mcap.reader import LogReader
+from fleet.mcap.records import MAGIC, parse
+from fleet.mcap.recover import recover
 
 MOST = (1 << 64) - 1
 Change = Callable[[int, bytes], bytes | None]  # opcode, content: the new content; None: the record is gone

@@ -15,9 +15,9 @@ import fleet
 from fleet.errors import FleetError
 from fleet.logs.export import export
 from fleet.logs.open_log import Log, Opening
-from fleet.logs.reader import LogReadError
 from fleet.logs.schemas import UINT32, MessageField, flat_schema
 from fleet.logs.table import columns
+from fleet.mcap.reader import LogReadError
 
 # What the files may say: udunits' own, with nothing of ours.
 UNITS = {"1", "m", "s", "rad", "N", "N m", "m/s", "rad/s", "1/s"}

@@ -24,11 +24,11 @@ from tool import invoke
 
 import fleet
 from fleet.errors import ScenarioError
-from fleet.logs.digest import Digest
 from fleet.logs.export import export, file_names
 from fleet.logs.open_log import Opening
-from fleet.logs.reader import LogReader, LogReadError, digest
 from fleet.logs.topic import LogKeyError
+from fleet.mcap.digest import Digest
+from fleet.mcap.reader import LogReader, LogReadError, digest
 from fleet.scenario.loading import load_scenario
 from tests.support.intervals import interval
 

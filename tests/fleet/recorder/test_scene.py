@@ -22,7 +22,7 @@ import fleet
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.decoder import _unit
-from fleet.logs.reader import LogReader
+from fleet.mcap.reader import LogReader
 from fleet.recorder.scene.link_state import CUTS, HISTORY
 from fleet.recorder.scene.messages import LinkHistories, Scene, hull
 from fleet.recorder.scene.model import diameter

@@ -20,8 +20,8 @@ from small_scenario import small
 
 from benchmarks.plain_log import PlainLog
 from benchmarks.recorder import Calls
-from fleet.logs.reader import LogReader
 from fleet.logs.schemas import COMMAND, ERROR, FAULT, PACKET, ROLL, STATE, flat_schema, signal_columns, stamp_of
+from fleet.mcap.reader import LogReader
 from fleet.recorder import tick_messages
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.recorder.metrics import VehicleError
@@ -184,7 +184,7 @@ def test_the_log_of_any_journal_is_the_one_written_message_by_message(
     """Whatever is missing or late, wherever the run ends; in chunks of any length. Also the digest of no log at all."""
     calls = Drawn(scenario, seed).calls()
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fleet.logs.mcap_writer.CHUNK_BYTES", chunk_bytes)
+        patch.setattr("fleet.mcap.writer.CHUNK_BYTES", chunk_bytes)
         ours, plain, none = LogFile(Path(folder) / "ours"), PlainLog(Path(folder) / "plain", chunk_bytes), NoLog()
         copies = [Copy(), Copy(), Copy()]
         for log, copy in zip((ours, plain, none), copies, strict=True):

@@ -29,8 +29,8 @@ from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
 from fleet.execution.triggered import resolve_triggers
 from fleet.logs.open_log import open_log
-from fleet.logs.reader import LogReader, Record
 from fleet.logs.schemas import OLD_START
+from fleet.mcap.reader import LogReader, Record
 from fleet.recorder.start import Start
 from fleet.repeat.recorded_run import script
 from fleet.repeat.resume import continuation, parse_from

@@ -28,11 +28,11 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import compare
-from fleet.logs.other import Recovered
-from fleet.logs.reader import LogReader, open_file
-from fleet.logs.records import Block, Message
-from fleet.logs.recover import Copy, recover
-from fleet.logs.salvage import Item, Salvage
+from fleet.mcap.other import Recovered
+from fleet.mcap.reader import LogReader, open_file
+from fleet.mcap.records import Block, Message
+from fleet.mcap.recover import Copy, recover
+from fleet.mcap.salvage import Item, Salvage
 from fleet.repeat.resume import continuation
 from fleet.repeat.verify import Verification, verification_lines, verify
 from fleet.result.file import write_result
@@ -125,7 +125,7 @@ def test_everything_that_happened_to_a_live_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, *slow(signal.SIGTERM)])
 def test_an_interrupt_in_the_middle_of_a_message(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits for the end of what is written just then: the log is whole, up to a whole tick."""
-    from fleet.logs.mcap_writer import McapWriter
+    from fleet.mcap.writer import McapWriter
 
     add, messages = McapWriter.message, count()
 

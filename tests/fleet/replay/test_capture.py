@@ -22,9 +22,9 @@ from waiting import wait_for
 
 import fleet as fleet_api
 from fleet.logs.info import info_text, read_info
-from fleet.logs.reader import LogReader
-from fleet.logs.seekable_log import SeekableLog
-from fleet.logs.traffic import ATTACHMENT, KIND
+from fleet.mcap.reader import LogReader
+from fleet.mcap.seekable_log import SeekableLog
+from fleet.mcap.traffic import ATTACHMENT, KIND
 from fleet.replay import capture
 from fleet.replay.capture import PublisherGone, TrafficWriter, message_encoding, zenoh_encoding
 from fleet.replay.topics import Stamp, pack, unpack

@@ -25,9 +25,9 @@ from traffic import records as records
 from waiting import wait_for
 
 from fleet.errors import FleetError
-from fleet.logs.reader import Record
-from fleet.logs.seekable_log import SeekableLog
-from fleet.logs.traffic import ENCODING
+from fleet.mcap.reader import Record
+from fleet.mcap.seekable_log import SeekableLog
+from fleet.mcap.traffic import ENCODING
 from fleet.processes.interrupts import holding_interrupts
 from fleet.replay.capture import zenoh_encoding
 from fleet.replay.playback import Replay

@@ -22,8 +22,8 @@ from waiting import wait_for
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.logs.reader import Record
 from fleet.logs.schemas import FAULT, flat_schema
+from fleet.mcap.reader import Record
 from fleet.replay.capture import zenoh_encoding
 from fleet.replay.live_journal import Missing
 from fleet.replay.publisher import BATCH_BYTES, LivePublisher

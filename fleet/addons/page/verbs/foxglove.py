@@ -10,7 +10,7 @@ import click
 
 from fleet.addons.page.source import LiveSource, LogSource
 from fleet.cli.sessions import ending
-from fleet.logs.seekable_log import SeekableLog
+from fleet.mcap.seekable_log import SeekableLog
 from fleet.replay.live_journal import LiveJournal
 from fleet.terminal.keyboard import Keyboard
 from fleet.terminal.progress import showing

@@ -52,7 +52,7 @@ def movie(
     """
     from fleet.addons.page.movie import write
     from fleet.addons.pictures.page import check_place
-    from fleet.logs.reader import log_path
+    from fleet.mcap.reader import log_path
 
     check_place(out, force=force)
     window = begin / 1e9, None if end is None else end / 1e9

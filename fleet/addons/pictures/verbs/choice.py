@@ -19,7 +19,7 @@ from fleet.cli.types import (
     Words,
 )
 from fleet.errors import FleetError
-from fleet.logs.other import OtherData, known_as
+from fleet.mcap.other import OtherData, known_as
 from fleet.option import Option
 
 if TYPE_CHECKING:

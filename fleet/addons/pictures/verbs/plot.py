@@ -92,7 +92,7 @@ def plot(
     check_options(log, OF_STUDIES, "studies")
     from fleet.addons.pictures.gallery import check_signals, write
     from fleet.addons.pictures.runs import View, check_view, load
-    from fleet.logs.reader import log_path
+    from fleet.mcap.reader import log_path
 
     said: list[str] = []
     with showing("reading") as on_progress:

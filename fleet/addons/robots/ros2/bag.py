@@ -12,9 +12,9 @@ from fleet.addons.robots.ros2.rmw import DEFAULT, Qos
 from fleet.addons.robots.ros2.translation import RosMessage, Translation
 from fleet.addons.robots.ros2.types import RosTypes, types_of
 from fleet.errors import FleetError
-from fleet.logs.other import Recovered
-from fleet.logs.reader import LogReader, OnProgress
-from fleet.logs.recover import recover
+from fleet.mcap.other import Recovered
+from fleet.mcap.reader import LogReader, OnProgress
+from fleet.mcap.recover import recover
 from fleet.replay.capture import writing
 from netem.private_folder import PrivateFolder
 

@@ -15,7 +15,7 @@ from fleet.addons.robots.ros2.translation import RosMessage, Translation
 from fleet.addons.robots.ros2.types import OWN
 from fleet.errors import FleetError
 from fleet.execution.connection import LiveRun, OpenConnection, RemoteError, ask, find
-from fleet.logs.seekable_log import SeekableLog, Track
+from fleet.mcap.seekable_log import SeekableLog, Track
 from fleet.replay.capture import PublisherGone
 from fleet.replay.live_journal import LiveJournal, left_out
 from fleet.replay.playback import play_out

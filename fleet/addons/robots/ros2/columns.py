@@ -18,8 +18,8 @@ from mcap.records import Schema
 from fleet.addons.robots.ros2.types import DISTRIBUTIONS, RosTypes, types_of
 from fleet.errors import FleetError, printable
 from fleet.logs.columns import Columns, objects
-from fleet.logs.reader import LogReadError
-from fleet.logs.records import Array
+from fleet.mcap.reader import LogReadError
+from fleet.mcap.records import Array
 
 _MOST_TEXT = 1 << 18  # characters of a definition
 _MOST_DEEP = 12  # messages within messages

@@ -27,8 +27,8 @@ from fleet.addons.robots.ros2.columns import RosColumns, ros_columns
 from fleet.errors import FleetError, printable
 from fleet.logs.info import Info, read_info
 from fleet.logs.open_log import Log, Opening
-from fleet.logs.reader import LogReader, OnProgress, log_path
-from fleet.logs.records import Array
+from fleet.mcap.reader import LogReader, OnProgress, log_path
+from fleet.mcap.records import Array
 from fleet.palette import COLOURS
 from netem.parsing import nearest
 

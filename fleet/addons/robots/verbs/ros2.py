@@ -139,7 +139,7 @@ def _serve_log(
     from fleet.addons.robots.ros2.bridge import play_log
     from fleet.addons.robots.ros2.translation import Translation
     from fleet.addons.robots.ros2.types import types_of
-    from fleet.logs.seekable_log import SeekableLog
+    from fleet.mcap.seekable_log import SeekableLog
     from fleet.terminal.keyboard import Keyboard
 
     types = types_of(distro)

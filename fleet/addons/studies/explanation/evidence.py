@@ -16,9 +16,9 @@ from agents.errors import PayloadError
 from agents.localization.payload import decode as decode_located
 from agents.localization.payload import is_located
 from fleet.logs.open_log import Log
-from fleet.logs.reader import LogReadError
 from fleet.logs.topic import Topic
 from fleet.logs.topic_names import link_topic
+from fleet.mcap.reader import LogReadError
 from fleet.scenario.sections.fault_entry import entry_kind, entry_vehicles
 from fleet.scenario.sections.signals import parse_name
 from netem.cause import Cause

@@ -20,7 +20,7 @@ from fleet.addons.pictures.style import HALO, THIN, Provenance, format_of, line,
 from fleet.addons.studies.explanation.evidence import ON_THE_WAY, TOPICS
 from fleet.addons.studies.explanation.why import Why, link_name, name_of
 from fleet.logs.open_log import Log, open_log
-from fleet.logs.records import Array
+from fleet.mcap.records import Array
 from fleet.palette import COLOURS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import parse_name

@@ -26,9 +26,9 @@ from fleet.errors import FleetError
 from fleet.execution.in_process import InProcess
 from fleet.execution.moments import reach
 from fleet.logs.decoder import Decoder
-from fleet.logs.reader import LogReader, OnProgress, Record, log_path
 from fleet.logs.schemas import BELIEF, COMMAND, PACKET, ROLL, STATE, MessageField
 from fleet.logs.topic_names import link_of
+from fleet.mcap.reader import LogReader, OnProgress, Record, log_path
 from fleet.recorder.start import set_up_otherwise
 from fleet.repeat.recorded_run import recorded as read
 from fleet.repeat.verify import start_of

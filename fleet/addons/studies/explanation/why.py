@@ -29,8 +29,8 @@ from fleet.addons.studies.sweep import check_names
 from fleet.errors import FleetError
 from fleet.execution.directory import SCENARIO
 from fleet.logs.open_log import Log, open_log
-from fleet.logs.reader import digest
 from fleet.logs.schemas import CLOCK, FROM
+from fleet.mcap.reader import digest
 from fleet.repeat.recorded_run import Recorded, recorded
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict

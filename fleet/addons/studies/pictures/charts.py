@@ -51,7 +51,7 @@ from fleet.addons.studies.pictures.points import (
     value_words,
 )
 from fleet.addons.studies.statistics import Estimate
-from fleet.logs.records import Array
+from fleet.mcap.records import Array
 from fleet.palette import COLOURS
 
 # Boxes by factor: every run as a point, the box of the middle half, and the median with its interval.

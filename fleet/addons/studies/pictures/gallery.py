@@ -39,7 +39,7 @@ from fleet.addons.studies.pictures.points import (
 )
 from fleet.addons.studies.store import Store
 from fleet.errors import FleetError, printable
-from fleet.logs.reader import OnProgress
+from fleet.mcap.reader import OnProgress
 
 _MOST_PAGES = 8  # pictures of one quantity
 _DRAW = {"heat": heat, "curve": curves, "boxes": boxes}

@@ -19,7 +19,7 @@ from fleet.addons.studies.plan import MOST_RUNS
 from fleet.addons.studies.statistics import Estimate, median, pass_rate
 from fleet.addons.studies.store import Store
 from fleet.addons.studies.summary import DEFAULT
-from fleet.logs.records import Array
+from fleet.mcap.records import Array
 
 PASSED = "passed"
 Value = float | str

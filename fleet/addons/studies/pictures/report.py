@@ -20,8 +20,8 @@ from fleet.addons.studies.row import Row
 from fleet.addons.studies.statistics import Estimate, compare, levels
 from fleet.addons.studies.store import Store
 from fleet.errors import printable
-from fleet.logs.reader import OnProgress
 from fleet.logs.run_name import STAMP
+from fleet.mcap.reader import OnProgress
 
 MOST_POINTS, MOST_REASONS, MOST_VALUES = 200, 30, 12
 _LONGEST = 400  # characters of a reason

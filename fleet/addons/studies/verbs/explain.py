@@ -51,7 +51,7 @@ def whatif(
         found = what_if(log, agent, changes, on_progress)
     if plot is not None:
         from fleet.addons.studies.explanation.what_if import draw
-        from fleet.logs.reader import digest, log_path
+        from fleet.mcap.reader import digest, log_path
 
         draw(found, plot, digest(log_path(log)))
     for note in () if json_is_asked() else found.notes:

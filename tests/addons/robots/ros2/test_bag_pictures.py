@@ -17,7 +17,7 @@ from fleet.addons.pictures.caption import caption_of
 from fleet.addons.robots.ros2.columns import definition_of, ros_columns
 from fleet.addons.robots.ros2.types import types_of
 from fleet.errors import FleetError
-from fleet.logs.reader import LogReadError
+from fleet.mcap.reader import LogReadError
 
 __all__ = ["alone"]
 pytest.importorskip("rosbags.highlevel", reason="the extra [ros2] is not installed")

@@ -25,8 +25,8 @@ from fleet.addons.robots.ros2.translation import Translation
 from fleet.addons.robots.ros2.types import INTERFACES, types_of
 from fleet.errors import FleetError
 from fleet.logs.open_log import open_log
-from fleet.logs.reader import digest
-from fleet.logs.seekable_log import SeekableLog
+from fleet.mcap.reader import digest
+from fleet.mcap.seekable_log import SeekableLog
 from netem.wire.ros_bus import SESSION_FILE, SETTINGS, RosBus
 
 pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")

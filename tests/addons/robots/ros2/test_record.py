@@ -22,7 +22,7 @@ from fleet.addons.robots.ros2.record import BagWriter
 from fleet.addons.robots.ros2.rmw import Attachment, Entity, pack
 from fleet.addons.robots.ros2.translation import Translation
 from fleet.addons.robots.ros2.types import types_of
-from fleet.logs.seekable_log import SeekableLog
+from fleet.mcap.seekable_log import SeekableLog
 from netem.wire.open_bus import ZenohSample
 
 rosbags = pytest.importorskip("rosbags.highlevel", reason="the extra [ros2] is not installed")

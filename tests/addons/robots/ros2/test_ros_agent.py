@@ -23,7 +23,7 @@ from fleet.addons.robots.ros2.agent import ODOMETRY, PACKET, WRENCH, RosAgent
 from fleet.addons.robots.ros2.node import RosNode
 from fleet.addons.robots.ros2.types import types_of
 from fleet.logs.open_log import open_log
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from netem.clock import Clock
 from netem.wire.messages import Delivery, Nav
 from netem.wire.ros_bus import SETTINGS

@@ -27,7 +27,7 @@ from fleet.cli.documents.output import print_document
 from fleet.cli.documents.page import DOCUMENTS, page, schema
 from fleet.execution.supervisor import Supervisor
 from fleet.logs.info import Info
-from fleet.logs.reader import digest
+from fleet.mcap.reader import digest
 from fleet.repeat.verify import Verification
 from fleet.result.result import Result
 from fleet.scenario.catalogue import shipped_scenarios

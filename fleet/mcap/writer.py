@@ -33,8 +33,8 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.records import LIBRARY, MAGIC
+from fleet.mcap.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
+from fleet.mcap.records import LIBRARY, MAGIC
 
 CHUNK_BYTES = 1024 * 1024  # a chunk ends when it is longer
 _HEAD = HEAD.pack

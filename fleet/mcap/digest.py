@@ -8,7 +8,7 @@ from struct import Struct
 
 import numpy as np
 
-from fleet.logs.records import Block
+from fleet.mcap.records import Block
 
 _TIMES = Struct("<QQII").pack
 _STAMP = np.dtype([("log", "<u8"), ("publish", "<u8"), ("sequence", "<u4"), ("length", "<u4")])  # for many at once

@@ -16,11 +16,11 @@ import yaml
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError, printable
-from fleet.logs.digest import Digest
-from fleet.logs.other import as_mcap
-from fleet.logs.records import MAGIC, Block, renumbered, together
-from fleet.logs.salvage import Damage, Item, Salvage
-from fleet.logs.traffic import is_attachment
+from fleet.mcap.digest import Digest
+from fleet.mcap.other import as_mcap
+from fleet.mcap.records import MAGIC, Block, renumbered, together
+from fleet.mcap.salvage import Damage, Item, Salvage
+from fleet.mcap.traffic import is_attachment
 from netem.files import read_file
 from netem.limits import LOG_REST, SCENARIO
 
@@ -55,7 +55,7 @@ class Record(NamedTuple):
 @dataclass(slots=True)
 class LogReader:
     """Iterates over the messages of a log, once; the fields below are complete after that. It stops at the first
-    damaged place, so the messages are the beginning of the run without a gap (`fleet.logs.recover` reads on). The files
+    damaged place, so the messages are the beginning of the run without a gap (`fleet.mcap.recover` reads on). The files
     of a split bag are read one after the other, and what they declare is numbered as if it were in one file.
     """
 

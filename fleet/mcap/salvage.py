@@ -25,7 +25,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Metadata, Schema
 
-from fleet.logs.records import (
+from fleet.mcap.records import (
     BROKEN,
     CHUNK,
     HEAD,

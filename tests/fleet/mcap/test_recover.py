@@ -29,11 +29,11 @@ from repository import SUPPORT
 from tool import invoke
 
 from fleet.errors import FleetError
-from fleet.logs.other import Recovered
-from fleet.logs.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
-from fleet.logs.records import MAGIC
-from fleet.logs.recover import recover, recovery_text
-from fleet.logs.salvage import Salvage
+from fleet.mcap.other import Recovered
+from fleet.mcap.reader import GAPS, LOST, RECOVERY, LogReader, LogReadError, Record
+from fleet.mcap.records import MAGIC
+from fleet.mcap.recover import recover, recovery_text
+from fleet.mcap.salvage import Salvage
 from netem.limits import LOG_RECORD
 
 # Three chunks, as small as they get.

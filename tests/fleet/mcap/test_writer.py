@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
-from fleet.logs.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
-from fleet.logs.mcap_writer import CHUNK_BYTES, McapWriter
+from fleet.mcap.batch import HEAD, MESSAGE, STAMP_BYTES, Batch
+from fleet.mcap.writer import CHUNK_BYTES, McapWriter
 
 TIMES = st.integers(0, 2**63 - 1)
 NAMES = st.text(max_size=12)

@@ -15,9 +15,9 @@ from mcap.opcode import Opcode
 from mcap.records import Message
 from mcap.writer import Writer
 
-from fleet.logs import records
-from fleet.logs.digest import Digest
-from fleet.logs.reader import LogReader, LogReadError, log_path, open_file
+from fleet.mcap import records
+from fleet.mcap.digest import Digest
+from fleet.mcap.reader import LogReader, LogReadError, log_path, open_file
 from netem.limits import LOG_RECORD
 
 

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from mcap.records import Channel
 
-from fleet.logs.reader import LogReader, LogReadError, OnProgress, open_file
-from fleet.logs.records import Array, Block, renumbered, together
-from fleet.logs.salvage import Salvage
+from fleet.mcap.reader import LogReader, LogReadError, OnProgress, open_file
+from fleet.mcap.records import Array, Block, renumbered, together
+from fleet.mcap.salvage import Salvage
 
 _STRETCH = 1 << 20  # bytes unpacked, at least, but at the end
 _LATEST = (1 << 64) - 1  # ns

@@ -23,7 +23,7 @@ class Batch(NamedTuple):
     channels: NDArray[np.uint16]  # channel of each message
     bounds: NDArray[np.int64]  # where in `records` each message begins, and behind them the end
     records: NDArray[np.uint8]
-    digested: NDArray[np.uint8]  # what `fleet.logs.records` hashes for them
+    digested: NDArray[np.uint8]  # what `fleet.mcap.records` hashes for them
 
     def messages(self) -> Iterator[tuple[int, int, int, int, bytes]]:
         """Channel, log time, publish time, sequence and data of one after the other."""

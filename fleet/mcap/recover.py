@@ -14,11 +14,11 @@ from typing import IO
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
-from fleet.logs.mcap_writer import McapWriter
-from fleet.logs.other import Recovered
-from fleet.logs.reader import GAPS, LOST, RECOVERY, OnProgress, log_files, log_path, lost, open_any
-from fleet.logs.records import LIBRARY, MAGIC, Block, Message
-from fleet.logs.salvage import ChunkEnd, Item, Salvage
+from fleet.mcap.other import Recovered
+from fleet.mcap.reader import GAPS, LOST, RECOVERY, OnProgress, log_files, log_path, lost, open_any
+from fleet.mcap.records import LIBRARY, MAGIC, Block, Message
+from fleet.mcap.salvage import ChunkEnd, Item, Salvage
+from fleet.mcap.writer import McapWriter
 from netem.whole_file import whole_file
 
 _YEAR_1973_S = 1e8

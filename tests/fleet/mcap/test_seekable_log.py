@@ -16,8 +16,8 @@ from traffic import log as log
 from traffic import records as records
 from traffic import times
 
-from fleet.logs.reader import LogReader, LogReadError, Record, log_path
-from fleet.logs.seekable_log import Entry, SeekableLog, Track
+from fleet.mcap.reader import LogReader, LogReadError, Record, log_path
+from fleet.mcap.seekable_log import Entry, SeekableLog, Track
 
 
 def test_tape_holds_what_the_reader_reads(log: Path, records: list[Record]) -> None:
@@ -107,8 +107,8 @@ def test_a_tape_is_in_the_order_of_log_times(
     log.write_bytes(file[0])
     expected = sorted(file[1], key=lambda message: message.log_time)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fleet.logs.seekable_log._STRETCH", stretch)
-        patch.setattr("fleet.logs.seekable_log._HELD", held)
+        patch.setattr("fleet.mcap.seekable_log._STRETCH", stretch)
+        patch.setattr("fleet.mcap.seekable_log._HELD", held)
         if not expected:
             with pytest.raises(LogReadError, match="holds no message"):
                 SeekableLog(log)

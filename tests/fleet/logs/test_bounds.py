@@ -23,9 +23,10 @@ from tool import invoke
 from waiting import wait_for
 
 import fleet
-from fleet.logs import columns, decoder, deviation, export, open_log, reader, records, seekable_log, topic
+from fleet.logs import columns, decoder, deviation, export, open_log, topic
 from fleet.logs.info import info_text, read_info
 from fleet.logs.open_log import Opening, Part
+from fleet.mcap import reader, records, seekable_log
 from fleet.mcap.reader import LogReader, LogReadError
 from fleet.terminal import progress
 from netem.limits import LOG_FAULTS, LOG_MESSAGE, LOG_RECORD, LOG_REST

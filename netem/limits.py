@@ -1,6 +1,6 @@
 """How much is read of each kind of input that somebody else may have written.
 
-One table, because a reader of a new kind of file needs to see what the others take, and because the page on security
+One table, because a reader of a new kind of file needs to see what the others take, and because the page on limits
 prints it. Limits of what we draw, print or search are not among them; these stand where they act.
 """
 

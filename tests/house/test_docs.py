@@ -59,8 +59,8 @@ def test_the_architecture_page_lists_every_room_with_its_sentence() -> None:
     assert dict(rows) == rooms
 
 
-def test_the_security_page_has_every_limit() -> None:
-    assert table() in (ROOT / "docs/guide/security.md").read_text("utf-8")
+def test_the_page_of_limits_has_every_limit() -> None:
+    assert table() in (ROOT / "docs/reference/limits.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -52,7 +52,7 @@ def boundary(
 
     Each run is placed where it tells most about the border, until the 95 % interval is narrow. With the directory of
     such a study, boundary continues it; border.png in it shows borders and runs. We measured how often such intervals
-    contain the border (docs/guide/studies.md): less often than 95 % if even the best pass rate is far below 1.
+    contain the border (docs/guide/boundary.md): less often than 95 % if even the best pass rate is far below 1.
 
     \b
     VALUES of --per are those of fleet sweep --vary. A name that is no key of the scenario fills {name} in

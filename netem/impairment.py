@@ -1,7 +1,7 @@
 """The effect of one directed link on one packet, in the order of Linux' sch_netem.
 
 duplicate, lose, corrupt, drop at the queue's limit, and then either reorder (send at once) or delay and rate-limit.
-`docs/guide/netem.md` lists where we differ from the kernel.
+`docs/background/kernel.md` lists where we differ from the kernel.
 
 A rule returns an outcome and moves no time: the caller (`netem.medium`) owns ticks and queues. Every draw is keyed by
 (seed, purpose, link, sequence number, copy), so that changing one link, or one value of a link, never shifts another

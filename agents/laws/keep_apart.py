@@ -23,7 +23,7 @@ ahead`, the limit decreases in proportion. The reason: a vehicle climbs by pitch
 which fades slowly. If it then slows down to u, it must pitch by about w / u more.
 
 The constraints of both vehicles of a pair sum up to n' (rho_i - rho_j) >= -a (h + T h'). With v' = (rho - v) / tau, for
-each lag tau up to T, this keeps h >= 0 if h + T h' >= 0 at the start. docs/guide/keep-apart.md derives it.
+each lag tau up to T, this keeps h >= 0 if h + T h' >= 0 at the start. docs/background/keep-apart.md derives it.
 
 PIQP's last bits depend on the processor. So PIQP only says which constraints are active, and elimination in a fixed
 order gives the velocity.

@@ -1,6 +1,6 @@
 """Does `keep_apart` keep its distance in any crossing, and does no vehicle tumble?
 
-    python docs/examples/keep_apart_crossings.py             # the table of docs/guide/keep-apart.md: 200 crossings
+    python docs/examples/keep_apart_crossings.py             # the table of docs/background/keep-apart.md: 200 crossings
     python docs/examples/keep_apart_crossings.py --runs 20   # the first 20 of them
     python docs/examples/keep_apart_crossings.py --set keep_apart=null  # what happens without
 

@@ -1,4 +1,4 @@
-"""Huge logs and bombs, for tests and for docs/guide/logs.md.
+"""Huge logs and bombs, for tests.
 
 `python tests/support/huge_log.py KIND OUT [--chunks N] [--mib M]`
 

@@ -57,7 +57,7 @@ def test_spacing_is_between_neighbours(shape: str) -> None:
 
 
 def test_on_which_side_they_are() -> None:
-    """North is ahead, east is starboard: as docs/guide/scenarios.md says."""
+    """North is ahead, east is starboard: as docs/reference/scenario-keys.md says."""
     signs = {shape: [int(math.copysign(y != 0, y)) for _, y, _ in make(5, 4.0)] for shape, make in SHAPES.items()}
     assert signs["line"] == [0, -1, -1, -1, -1]
     assert signs["wedge"] == [0, 1, -1, 1, -1]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from failing_laws import module as module
+from msgspec import structs
 from talking import MOORED, talking
 from tool import invoke
 
@@ -86,7 +87,12 @@ def test_why_shows_what_was_said_last(module: Callable[[str], str], tmp_path: Pa
     assert [(one.at_s, one.vehicle) for one in why.said] == sorted((one.at_s, one.vehicle) for one in why.said)
     assert "what the programs had said last by 0.5 s" in lines(why)
     shown = lines(why)[lines(why).index("what the programs had said last by 0.5 s") + 1 :][:MOST_LINES]
-    assert shown[-2:] == ["  0.500 s  2 err  ValueError: planned", "  0.500 s  2 failed exit status 1"]
+    assert shown[-2:] == [
+        "  0.500 s  vehicle 2 (err): ValueError: planned",
+        "  0.500 s  vehicle 2 (failed): exit status 1",
+    ]
+    named = "\n".join(lines(structs.replace(why, nodes=["auv1", "ship", "auv3", "auv4"])))
+    assert "  0.500 s  ship (err): ValueError: planned" in named
     assert "\x1b" not in "".join(shown)
 
 
@@ -98,3 +104,14 @@ def test_why_shows_it_for_any_check(module: Callable[[str], str], tmp_path: Path
     assert why.check == "state.z"
     assert why.said[-1].at_s <= 0.3
     assert why.said[-1].text == "caf? \x1b[31m"
+    assert all("error.formation_norm" in then.signals for then in why.vehicles)
+
+
+def test_of_moored_vehicles_no_error_is_told_as_they_have_no_place_to_keep(
+    module: Callable[[str], str], tmp_path: Path
+) -> None:
+    scenario = talking(module, "checks.signal={topic: state.z, below: -1 m}", text=MOORED)
+    result = execute(scenario, Options(tmp_path, in_process=True, quiet=True))
+    assert result.directory is not None
+    why = Explanation(Question(result.directory, None, 0), lambda doing, runs: None).without_runs()
+    assert why.vehicles and not any("error.formation_norm" in then.signals for then in why.vehicles)

@@ -124,6 +124,7 @@ def evidence(
     *,
     protocol: bool,
     nodes: Sequence[str] = (),
+    moves: bool = True,
 ) -> Evidence:
     """Collect the evidence of a log about a time.
 
@@ -134,6 +135,7 @@ def evidence(
         failing: the vehicles that failed it; their silences come first.
         protocol: whether to add the signals of the agents' own protocol.
         nodes: the names of nodes, by which the log names them; none: the log is of vehicles.
+        moves: whether the vehicles have places in a formation, and so errors; moored ones have none.
     """
     faults = [FaultThen(f.id, f.what, f.begin, f.end, f.end > at_s) for f in log.faults if f.begin <= at_s]
     each = {link: _Packets.of(log[link_topic(link)], at_s) for link in log.links}
@@ -144,7 +146,7 @@ def evidence(
     for packets in each.values():
         lost.update(cause for cause in packets.causes if cause)
     units = None if nodes else ("1", "s")  # of programs every number, of agents what may be one of their protocol
-    vehicles = [_vehicle(log, i, at_s, each, signals, lives, units, protocol=protocol) for i in numbers]
+    vehicles = [_vehicle(log, i, at_s, each, signals, lives, units, protocol=protocol, moves=moves) for i in numbers]
     pauses = _pauses(each, at_s)
     gaps, sent = _gaps(each, at_s, failing, pauses), sum(len(packets.sent) for packets in each.values())
     return Evidence(faults, gaps, dict(lost.most_common()), sent, vehicles)
@@ -296,6 +298,7 @@ def _vehicle(
     units: Collection[str] | None,
     *,
     protocol: bool,
+    moves: bool,
 ) -> VehicleThen:
     heard = [_heard(log, src, packets, at_s) for (src, dst), packets in each.items() if dst == i]
     shown: dict[str, float | None] = {}
@@ -310,7 +313,7 @@ def _vehicle(
             fits = units is None or unit in units
             if fits and f"control.{field}" not in shown and topic[field].ndim == 1:
                 shown[f"control.{field}"] = _value(log, topic.name, field, at_s)
-    where = _value(log, f"uuv/{i}/error", "formation_norm", at_s)
+    where = _value(log, f"uuv/{i}/error", "formation_norm", at_s) if moves else None
     if where is not None:
         shown.setdefault("error.formation_norm", where)
     state = next((t for group in _OF_AGENTS if (t := _there(log, f"uuv/{i}/{group}")) is not None), None)

@@ -25,9 +25,10 @@ class SaidThen(Struct, frozen=True):
     stream: Annotated[str, Meta(description="out, err; end or failed: how its program ended.")]
     text: str
 
-    @property
-    def words(self) -> str:
-        return f"{self.at_s:.3f} s  {self.vehicle} {self.stream:<4} {printable(self.text)}"
+    def words(self, name: str) -> str:
+        """The line behind the time and the name of who said it; on which stream, unless it is stdout."""
+        stream = "" if self.stream == "out" else f" ({self.stream})"
+        return f"{self.at_s:.3f} s  {name}{stream}: {printable(self.text)}"
 
 
 def said_before(log: Log, at_s: float) -> list[SaidThen]:

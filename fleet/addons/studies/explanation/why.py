@@ -174,7 +174,8 @@ class Explanation:
         at_s = min(failed_s, log.end)
         own = bool(self.scenario.nodes) or any(control.agent is not None for control in self.scenario.controls)
         verdict = self.verdict
-        then = evidence(log, at_s, verdict.signals, failing, protocol=own, nodes=self.scenario.nodes)
+        moves = not self.scenario.spec.moored
+        then = evidence(log, at_s, verdict.signals, failing, protocol=own, nodes=self.scenario.nodes, moves=moves)
         return Why(
             self.scenario.name, self.scenario.seed, verdict.check, verdict.asked, verdict.words, self._others,
             self._differs, next((one.passed for one in self._before if one.check == verdict.check), None), begin,
@@ -384,7 +385,7 @@ def _vehicle(then: VehicleThen, why: Why) -> Iterator[str]:
 def _said(why: Why) -> Iterator[str]:
     if why.said:
         yield f"what the programs had said last by {why.at_s:g} s"
-        yield from (f"  {line.words}" for line in why.said)
+        yield from (f"  {line.words(name_of(line.vehicle, why))}" for line in why.said)
         yield ""
 
 

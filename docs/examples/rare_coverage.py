@@ -1,6 +1,6 @@
 """How often does the interval of `fleet rare` hold the true probability?
 
-    python docs/examples/rare_coverage.py          # the table of docs/background/rare-figures.md; five minutes on one core
+    python docs/examples/rare_coverage.py          # the table of docs/background/rare-figures.md; five minutes
     python docs/examples/rare_coverage.py --quick  # fewer repeats
 
 A random walk of 60 steps has to reach a height; the probability is known by reflection. A row makes many independent

@@ -1,6 +1,6 @@
 """Are the limits that `fleet check` computes those of the simulation?
 
-    python docs/examples/stability_borders.py          # all rows behind the first table of docs/background/linear-stability.md; an hour
+    python docs/examples/stability_borders.py          # more rows than linear-stability.md has; an hour
     python docs/examples/stability_borders.py --quick  # a few rows
 
 Four vehicles start in formation but for a micrometre. Per graph, period of rounds and gain the fleet runs twice, with

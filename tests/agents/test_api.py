@@ -39,7 +39,7 @@ def test_all_is_every_public_name() -> None:
 
 
 def test_the_reference_lists_all_of_it() -> None:
-    page = (ROOT / "docs/reference/api.md").read_text("utf-8").partition("## Writing laws: `agents.api`")[2]
+    page = (ROOT / "docs/reference/api.md").read_text("utf-8").partition("## Writing laws\n")[2]
     assert set(re.findall(r"^### `(\w+)`", page, re.MULTILINE)) >= set(agents.api.__all__)
 
 

@@ -1,21 +1,17 @@
 """The documentation as a site: `sphinx-build -W docs docs/_build`, then open docs/_build/index.html.
 
-The pages are Markdown that code hosts show as well. Three things are added to Sphinx here:
+The pages are Markdown that code hosts show as well. Two things are added to Sphinx here:
 
 * A link from a page to a file of the repository, `[`Name`](../../agents/config.py#L46)`, leads to a listing of that
   file in the site, at that line. A file or a line that does not exist is a warning, which `-W` makes an error.
-* The comment behind a field of a class, which holds unit and frame, is the text of that field in the API reference.
 * Each lesson offers itself as a notebook (docs/notebooks.py).
 """
 
 from __future__ import annotations
 
-import inspect
-import io
 import os
 import re
 import sys
-import tokenize
 from collections.abc import Iterator
 from html import escape
 from importlib.metadata import version as installed
@@ -30,8 +26,6 @@ from pygments.util import ClassNotFound
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
-import fleet
-
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 LINK = re.compile(r"(?<=\]\()(?!https?:|mailto:|#)([^)\s#]+)(?:#L(\d+))?(?=\))")
@@ -41,18 +35,11 @@ author = "the uuv-fleet authors"
 project_copyright = "the uuv-fleet authors, Apache-2.0"
 version = release = installed("uuv-fleet")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser"]
 exclude_patterns = ["_build", "examples"]
 source_suffix = {".md": "markdown"}
 myst_heading_anchors = 4
 myst_url_schemes = ["http", "https", "mailto", "source"]
-default_role = "code"  # docstrings are written with single backticks, as Markdown is
-autodoc_member_order = "bysource"
-autodoc_preserve_defaults = True
-autodoc_typehints = "signature"
-autodoc_typehints_format = "short"
-python_use_unqualified_type_names = True
-napoleon_numpy_docstring = False
 highlight_language = "none"
 
 html_theme = "furo"
@@ -63,7 +50,6 @@ html_static_path = ["_static"]
 html_css_files = ["boxes.css"]
 html_show_search_summary = False  # excerpts are fetched, which a browser refuses for pages opened as files
 
-sys.path.insert(0, str(ROOT))  # what is documented is this checkout
 sys.path.insert(0, str(DOCS))
 import notebooks  # noqa: E402  of this folder
 
@@ -130,39 +116,10 @@ def listings(app: Sphinx) -> Iterator[tuple[str, dict[str, Any], str]]:
         )
 
 
-def field_comments(cls: type) -> dict[str, str]:
-    """The comments behind the fields of a class, joined over the lines that go on with nothing but a comment."""
-    found: dict[str, str] = {}
-    name = ""
-    tokens = tokenize.generate_tokens(io.StringIO(inspect.cleandoc("\n" + inspect.getsource(cls))).readline)
-    for token in tokens:
-        if match := re.match(r"\s+(\w+): ", token.line):
-            name = match[1]
-        elif token.line.strip() and not token.line.lstrip().startswith("#"):
-            name = ""
-        if token.type == tokenize.COMMENT and name:
-            found[name] = f"{found.get(name, '')} {token.string.lstrip('#').strip()}".strip()
-    return found
-
-
-def describe_fields(_: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Put the comment behind a field in place of "Alias for field number 0"."""
-    if what not in {"attribute", "property"}:
-        return
-    module, cls, field = name.rsplit(".", 2)
-    owner = getattr(sys.modules.get(module), cls, None)
-    if inspect.isclass(owner) and (not lines or lines[0].startswith("Alias for field")):
-        comment = field_comments(owner).get(field, "")
-        lines[:] = [comment.replace("*", r"\*").replace("|", r"\|").replace("_i", r"\_i"), ""]
-
-
 def setup(app: Sphinx) -> None:
-    """Connect the three additions."""
+    """Connect the two additions."""
     app.connect("source-read", mark_links)
     app.connect("source-read", offer_notebook)
     app.connect("build-finished", write_notebooks)
     app.connect("doctree-resolved", point_links)
     app.connect("html-collect-pages", listings)
-    app.connect("autodoc-process-docstring", describe_fields)
-    for function in (fleet.sweep, fleet.boundary):
-        del function.__signature__  # type: ignore[attr-defined]  # autodoc takes defaults from the source: **options

@@ -1,6 +1,6 @@
 """How much worse are the localisers of the vehicles than one filter that hears everything at once?
 
-    python docs/examples/central_filter.py               # the table of guide/protocols/navigation_aid.md; half an hour
+    python docs/examples/central_filter.py               # what localization_measured.md says; half an hour
     python docs/examples/central_filter.py --seeds 2     # fewer runs
 
 Each run is made as it ships. From its log and the draws of its instruments an extended Kalman filter estimates all

@@ -1,6 +1,6 @@
 """Are the limits that `fleet check` computes those of the simulation?
 
-    python docs/examples/stability_borders.py          # the table of docs/background/stability.md; an hour on one core
+    python docs/examples/stability_borders.py          # more rows than linear-stability.md has; an hour
     python docs/examples/stability_borders.py --quick  # a few rows
 
 Four vehicles start in formation but for a micrometre. Per graph, period of rounds and gain the fleet runs twice, with

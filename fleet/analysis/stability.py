@@ -135,7 +135,7 @@ def report(scenario: Scenario, found: Analysis) -> list[str]:
         lines += describe_slack(scenario)
     if found.gain_max is not None and not moored:
         lines += [*_limits(scenario, found), *_rules_of_thumb(scenario, found)]
-        lines.append("docs/background/stability.md explains these limits")
+        lines.append("docs/background/linear-stability.md explains these limits")
     return lines
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import subprocess
 import sys
 from collections import Counter
@@ -96,6 +97,12 @@ def test_the_protocol_page_knows_every_kind_of_fault() -> None:
 def test_protocol_page_is_current() -> None:
     """docs/reference/protocol.md is what `fleet protocol` prints now."""
     assert (ROOT / "docs" / "reference" / "protocol.md").read_text("utf-8") == page()
+
+
+def test_the_page_of_the_python_api_is_current() -> None:
+    """python docs/python_api.py > docs/reference/api.md"""
+    made = runpy.run_path(str(ROOT / "docs" / "python_api.py"))["page"]()
+    assert (ROOT / "docs" / "reference" / "api.md").read_text("utf-8") == made
 
 
 def test_what_takes_longer_begins_first_on_all_workers() -> None:

@@ -14,7 +14,7 @@ Coriolis forces and Munk moments of the added mass. There is no tether.
 A real BlueROV2 can push to the side and upwards; the command of a plant cannot say so. The allocation asks for no force
 there. Drag limits sway and heave, and buoyancy limits roll. The vehicle reaches a depth by pitching and going ahead. No
 loop of its own holds anything. So the vehicle is as underactuated as the protocols that drive it suppose, and drifts,
-sinks or rises when the water or its weight make it. docs/background/plants.md has the numbers and what was compared.
+sinks or rises when the water or its weight make it (docs/background/plants.md).
 """
 
 from __future__ import annotations

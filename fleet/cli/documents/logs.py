@@ -42,7 +42,7 @@ class Eigenvalue(Struct):
 
 
 class ExpectedByTheory(Struct):
-    """Expectations of theory for a fleet: `docs/background/stability.md` says what the numbers mean."""
+    """Expectations of theory for a fleet: `docs/background/linear-stability.md` says what the numbers mean."""
 
     parts: Annotated[list[list[int]], Meta(description="Vehicles that links connect, taken both ways; one: connected.")]
     followers: list[int]

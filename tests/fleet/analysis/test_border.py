@@ -178,7 +178,7 @@ def test_a_division_by_zero_that_changes_no_result_is_no_warning(monkeypatch: py
     ],
 )
 def test_the_simulation_decays_below_the_limit_and_grows_above(what: str, case: Case, seconds: float) -> None:
-    """5 % below and above the computed border; all rows are in docs/background/stability.md."""
+    """5 % below and above the computed border; docs/background/linear-stability.md has some of the rows."""
     found = gain_row(case, seconds) if what == "gain" else delay_row(case, seconds)
     assert found.holds, line(found)
 

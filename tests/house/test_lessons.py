@@ -26,14 +26,14 @@ notebooks = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(notebooks)
 LESSONS = {page.stem: page for page in notebooks.lessons()}
 NEEDS = {
-    "4-where-does-it-break": "3-your-own-protocol",
-    "11-one-real-vehicle": "9-your-program-in-lockstep",
+    "4-why": "2-your-program",
+    "5-where-does-it-break": "2-your-program",
+    "10-one-real-vehicle": "2-your-program",
 }  # a lesson that goes on with the files of another
-EXTRAS = {"4-where-does-it-break": "pandas", "5-watch-it-live": "nicegui", "7-ros2": "rosbags",
-          "8-your-own-stack": "pandas",
-          "9-your-program-in-lockstep": "pandas", "10-your-modem-code": "unetpy"}  # fmt: skip
+EXTRAS = {"5-where-does-it-break": "pandas", "6-your-protocol": "pandas", "7-your-own-stack": "pandas",
+          "9-your-modem-code": "unetpy", "11-watch-it-live": "nicegui", "12-ros2": "rosbags"}  # fmt: skip
 
-ON_THE_WALL_CLOCK = ("8-your-own-stack", "11-one-real-vehicle")  # they wait more than a minute
+ON_THE_WALL_CLOCK = ("7-your-own-stack", "10-one-real-vehicle")  # they wait more than a minute
 
 # A command that ends with 2 or more ends the box: 1 is a failed check, which some lessons are about.
 STRICT = "trap 's=$?; [ $s -lt 2 ] || exit $s' ERR\n"
@@ -147,6 +147,19 @@ def test_a_lesson_can_be_done(name: str, reader: Reader) -> None:
             streams = reader.do(cell)
             missing = first_missing(cell.shown, streams)
             assert not missing, f"{name}, line {cell.line}: {missing!r} is not in\n{''.join(streams)}"
+
+
+def test_the_program_of_the_readme_can_be_run(reader: Reader, tmp_path: Path) -> None:
+    """It fails as the README shows, for the reason that it gives."""
+    page = tmp_path.with_name("readme.md")
+    page.write_text(
+        (ROOT / "README.md").read_text("utf-8").partition("## Your program")[2].partition("\n## ")[0], "utf-8"
+    )
+    cells = [cell for cell in notebooks.cells(page) if cell.kind != "words"]
+    assert [cell.kind for cell in cells] == ["file", "file", "commands"]
+    for cell in cells:
+        streams = reader.do(cell)
+    assert not (missing := first_missing(cells[-1].shown, streams)), f"{missing!r} is not in {''.join(streams)}"
 
 
 @pytest.mark.parametrize("name", LESSONS)

@@ -96,7 +96,7 @@ def test_the_reference_of_python_has_names_and_comments(site: Path) -> None:
 
 def test_each_lesson_offers_its_notebook(site: Path) -> None:
     lessons = [path for path in (site / "learn").glob("*.html") if path.stem != "index"]
-    assert len(lessons) == 11
+    assert len(lessons) == len([*(ROOT / "docs" / "learn").glob("[0-9]*.md")]) > 10
     for path in lessons:
         assert f'href="{path.stem}.ipynb" download' in path.read_text("utf-8")
         notebook = path.with_suffix(".ipynb").read_text("utf-8")

@@ -1,4 +1,4 @@
-"""The tour of the README: its commands, in their order, in one empty folder."""
+"""The tour: its commands, in their order, in one empty folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from repository import ROOT
 
-TOUR = (ROOT / "README.md").read_text("utf-8").partition("## A tour in ten commands")[2].partition("\n## ")[0]
+TOUR = (ROOT / "docs" / "guide" / "tour.md").read_text("utf-8").partition("\n\n")[2].partition("\n## ")[0]
 STEPS = dict(re.findall(r"^(\d+)\. (.*?)(?=^\d+\. |^$)", TOUR, re.MULTILINE | re.DOTALL))
 ALONE = range(1, 9)  # step 9 needs a second terminal, and step 10 takes minutes; both have tests of their own
 LONG = ("fleet movie",)  # drawn in tests/addons/page

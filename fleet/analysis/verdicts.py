@@ -331,7 +331,11 @@ def _programs_of_nodes(scenario: Scenario, journal: Journal) -> Verdict:
         else ", ".join(f"{name} {what}" for name, what in asked.items())
     )
     if not bad:
-        return Verdict(PROGRAMS, True, words, f"all {len(scenario.spec.names or ())}", 0, 0, "programs")
+        all_of_them = f"all {len(scenario.spec.names or ())}"
+        sent = any(account.sent for account in journal.ledger.accounts.values())
+        if RUNNING in asked.values() and journal.complete and not (sent or failures.spoke):
+            return Verdict(PROGRAMS, False, words, all_of_them + NOTHING_AT_ALL)
+        return Verdict(PROGRAMS, True, words, all_of_them, 0, 0, "programs")
     found = "; ".join(text for _, _, text in bad[:4]) + (f" and {len(bad) - 4} more" if len(bad) > 4 else "")
     at_ns, vehicle, _ = min(bad)
     moment = _moment(journal, scenario, at_ns / 1e9, vehicle)
@@ -339,6 +343,9 @@ def _programs_of_nodes(scenario: Scenario, journal: Journal) -> Verdict:
     return verdict.with_margin(-len(bad), "programs", at_ns / 1e9)
 
 
+# Such a run has shown nothing: they wait for each other, or reach each other behind our back. Programs that were to end
+# have done so, and may be quiet.
+NOTHING_AT_ALL = ", and none of them sent or printed anything"
 OF_THE_TOOL = frozenset({"deaths", "ledger", "middleware_loss"})  # `expect: fail` judges the protocol, not this program
 
 

@@ -27,6 +27,7 @@ class ProgramFailures:
     def __init__(self) -> None:
         self.first: list[ProgramFailure] = []  # in order, MOST_KEPT of them
         self.count = 0
+        self.spoke = False  # whether any program has printed a line
         self.ended: dict[int, int] = {}  # by vehicle whose program has ended, well or not: when [ns]
         self._printed: dict[int, str] = {}  # by vehicle, the last line on its standard error
 
@@ -36,6 +37,7 @@ class ProgramFailures:
                 self._printed.pop(life.vehicle, None)  # another agent has printed that
                 self.ended.pop(life.vehicle, None)
         for i, said in ((line.vehicle, line.said) for line in frame.said):
+            self.spoke = self.spoke or said.stream not in (END, FAILED)
             if said.stream in (END, FAILED):
                 self.ended[i] = said.at_ns
             if said.stream == ERR and said.text.strip():

@@ -21,6 +21,7 @@ from fleet.addons.programs.message_signal import NoNumber
 from fleet.addons.robots import keeper
 from fleet.addons.robots.message_values import reader
 from fleet.analysis.command_lines import search_path
+from fleet.analysis.verdicts import NOTHING_AT_ALL
 from fleet.errors import RunBroken
 from fleet.execution.notes import some
 from fleet.processes.child_start import for_programs
@@ -477,8 +478,8 @@ class Programs:
             found.append(f"signal {name}: no {what} of {some(nodes)} had a number")
         return found
 
-    def verdict(self) -> Verdict | None:
-        """Whether all programs ran, or did their work; None: there are none."""
+    def verdict(self, *, sent: bool) -> Verdict | None:
+        """Whether all programs ran, or did their work; None: there are none. `sent`: whether anything came from one."""
         if not self.states:
             return None
         bad = []
@@ -491,6 +492,10 @@ class Programs:
         wants = self._scenario.spec.checks.programs or {"*": "running"}
         asked = ", ".join(what if pattern == "*" else f"{pattern} {what}" for pattern, what in wants.items())
         found = "; ".join(bad[:4]) + (f" and {len(bad) - 4} more" if len(bad) > 4 else "")
+        printed = any(path.exists() and path.stat().st_size for path in map(self._log_of, self.states.values()))
+        runs = any(self._wanted(state) != DONE for state in self.states.values())
+        if runs and not (bad or sent or printed):
+            return Verdict("programs", False, asked, f"all {len(self.states)}{NOTHING_AT_ALL}")
         verdict = Verdict("programs", not bad, asked, found or f"all {len(self.states)}", len(bad), 0, "programs")
         return verdict.with_margin(-len(bad), "programs")
 

@@ -367,7 +367,8 @@ class RelayRun:
             progress()
             time.sleep(PROMPT_S)
         self._frames(whole=True)
-        if (verdict := programs.verdict()) is not None:
+        sent = any(count for count, _ in self.closing.entered.values())
+        if (verdict := programs.verdict(sent=sent)) is not None:
             self.closing.verdicts.append(verdict)
         self.deaths = programs.deaths()
         self.notes += programs.silent()

@@ -334,6 +334,28 @@ def test_messages_tell_signals_as_on_the_wall_clock(tmp_path: Path, monkeypatch:
     assert said.count("signal wrong: other: is not json") == 1
 
 
+WAITS = (
+    "import socket, sys\ns = socket.socket(type=socket.SOCK_DGRAM)\ns.bind(('127.0.0.1', 9100))\n{first}\ns.recv(9)\n"
+)
+
+
+@needs_cc
+@pytest.mark.parametrize("first", ["", "print('listens')"])
+def test_programs_that_wait_for_each_other_and_say_nothing_have_failed(
+    first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run of two that neither sent nor printed anything passed, with a note."""
+    monkeypatch.chdir(tmp_path)
+    Path("waits.py").write_text(WAITS.format(first=first))
+    Path("stack.yaml").write_text(STACK.format(a="{}", programs='{"*": {run: [python, waits.py]}}', more=""))
+    result = fleet.run("stack.yaml")
+    (programs,) = (one for one in result.checks if one.check == "programs")
+    assert (programs.passed, programs.found) == (
+        (True, "all 2") if first else (False, "all 2, and none of them sent or printed anything")
+    )
+    assert len(result.notes) == 1
+
+
 @needs_cc
 def test_a_program_finds_the_files_of_its_folder_and_what_it_writes_stays_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

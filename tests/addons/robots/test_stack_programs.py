@@ -368,5 +368,8 @@ def test_programs_that_send_nothing_through_the_network_are_told(sends: str, not
     programs = {name: {"run": ["python", "-c", send if name == sends else quiet]} for name in ("m1", "m2")}
     nodes = {"m1": {"udp": {str(port): f"m2:{free_port()}"}}, "m2": {}}
     with stack(tmp_path, nodes=nodes, programs=programs, duration="500 ms", begin="300 ms") as run:
-        run.ends(0)
-        assert read_result(run.directory).notes[:1] == [note]
+        run.ends(0 if sends else 1)
+        result = read_result(run.directory)
+        assert result.notes[:1] == [note]
+        said = [one.found for one in result.checks if one.check == "programs"]
+        assert said == ["all 2" if sends else "all 2, and none of them sent or printed anything"]

@@ -27,7 +27,7 @@ WORDS = {
     "drift": "Clocks",
     "DVL": "Navigation",
     "ROS 2": "ROS 2",
-    "Monte Carlo": "4. Where does it break?",
+    "Monte Carlo": "5. Where does it break?",
     "tutorial": "Terms",
 }
 

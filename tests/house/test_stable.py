@@ -157,12 +157,14 @@ def test_one_version_everywhere() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
     citation = (ROOT / "CITATION.cff").read_text("utf-8")
     log = (ROOT / "CHANGELOG.md").read_text("utf-8")
-    changes = re.findall(r"^## ([\d.]+) \(([^)]+)\)$", log, re.MULTILINE)
+    changes = re.findall(r"^## \[([\d.]+)\] - (\d{4}-\d\d-\d\d)$", log, re.MULTILINE)
     package = (ROOT / "fleet/addons/robots/ros2/uuv_fleet_msgs" / "package.xml").read_text("utf-8")
+    assert "\n## [Unreleased]\n" in log
     released, on = changes[0]
-    if "\n## Unreleased\n" in log:
-        later = re.fullmatch(r"(\d+)\.(\d+)\.(\d+)\.dev\d+", version)
-        assert later is not None and tuple(map(int, later.groups())) > tuple(map(int, released.split(".")))
+    if later := re.fullmatch(r"(\d+\.\d+\.\d+)\.dev\d+", version):
+        if later[1] == released:  # its section has been written, and its release comes next
+            released, on = changes[1]
+        assert tuple(map(int, later[1].split("."))) > tuple(map(int, released.split(".")))
     else:
         assert released == version
     assert f"\nversion: {released}\ndate-released: {on}\n" in citation

@@ -30,6 +30,7 @@ _OFFERED = {
     "Log": "fleet.logs.open_log",
     "open_log": "fleet.logs.open_log",
 }
+_DEPRECATED = {"SteppedRun": "Run", "stepping": "Run"}  # names of version 1.0, and what they are now
 
 
 @cache
@@ -54,6 +55,9 @@ def __getattr__(name: str) -> Any:
     # Every command imports this package; numpy and protobuf come with the first use.
     if name == "__all__":
         return sorted(_every_name())
+    if (now := _DEPRECATED.get(name)) is not None:
+        warn(f"fleet.{name} is deprecated, use fleet.{now}", DeprecationWarning, stacklevel=2)
+        name = now
     module = _OFFERED.get(name) or ("" if name.startswith("_") else _every_name().get(name))
     if not module:
         from fleet.addon import installed

@@ -9,6 +9,7 @@ import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
+from warnings import warn
 
 import msgspec
 from msgspec import Meta, Struct
@@ -181,6 +182,12 @@ class Result(Struct, kw_only=True):
     published: Annotated[Published | None, Meta(description="With `--publish`; else null.")] = None
     timing: Annotated[Timing | None, Meta(description="With `--clock real`; else null.")] = None
     punctual: Annotated[Punctual | None, Meta(description="Of `fleet netem`; else null.")] = None
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """The name of `checks` in version 1.0; deprecated."""
+        warn("Result.verdicts is deprecated, use Result.checks", DeprecationWarning, stacklevel=2)
+        return self.checks
 
     @property
     def passed(self) -> bool:

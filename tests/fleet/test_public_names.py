@@ -93,3 +93,14 @@ def test_runs_without_a_partner_are_not_compared(tmp_path: Path) -> None:
 def test_a_long_table_counts_what_it_leaves_out() -> None:
     assert html_table("t", ["n"], ([n] for n in range(MOST_ROWS + 3))).count("<td>") == MOST_ROWS
     assert "and 3 more" in html_table("t", ["n"], ([n] for n in range(MOST_ROWS + 3)))
+
+
+def test_names_of_version_1_0_still_work_and_say_what_they_are_now() -> None:
+    """They had gone without a warning, though the page on what is stable promises one."""
+    for old in ("stepping", "SteppedRun"):
+        with pytest.warns(DeprecationWarning, match=rf"fleet.{old} is deprecated, use fleet.Run"):
+            assert getattr(fleet, old) is fleet.Run
+    with fleet.Run("paper", set={"duration": "100 ms", "checks": {}}, seed=1) as run:
+        result = run.to_end()
+    with pytest.warns(DeprecationWarning, match=r"use Result.checks"):
+        assert result.verdicts is result.checks

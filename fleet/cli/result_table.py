@@ -134,6 +134,8 @@ def _show_protocols(rows: dict[str, VehicleResult], from_s: float, terminal: Ter
     if any(row.formation_final_m != 0.0 for row in rows.values()):
         errors = [f"{rows[i].formation_final_m:.4f}" for i in shown]
         columns.append(TerminalColumn("final formation\nerror [m]", errors))
+    if len(columns) == 1:  # programs without signals, which are moored
+        return
     laws = sorted({row.agent for row in rows.values()})
     table.show(columns, f"vehicles; what {', '.join(laws)} reported at the end", terminal, "see result.json")
     _tell_more(len(rows) - len(shown), say)

@@ -176,6 +176,13 @@ def test_a_run_of_protocols_shows_what_they_reported() -> None:
     assert_screen("result-protocol", text)
 
 
+def test_moored_programs_without_signals_have_no_table_of_vehicles() -> None:
+    """It had their numbers and no other column."""
+    quiet = {str(i): replace(vehicle(i, agent="program:buddy.py"), formation_final_m=0.0) for i in (1, 2)}
+    text = shown(result(2, vehicles=quiet, formation=Formation(0.0, 1, 0.0, 2)), 120)
+    assert "UUV" not in text and "reported at the end" not in text
+
+
 def test_moored_vehicles_have_no_errors_to_tell() -> None:
     """They are where they began. A protocol is told by what its agents report."""
     signals = {"there": SignalValue(4.0, "1")}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 from netem.wire.messages import END, ERR, FAILED, Frame
 
 MOST_KEPT = 100
+_REASON = re.compile(r"(?:Uncaught )?[\w.$]*(?:Error|Exception)\b")  # how a line begins that says why a program ended
 
 
 class ProgramFailure(NamedTuple):
@@ -41,7 +43,9 @@ class ProgramFailures:
             if said.stream in (END, FAILED):
                 self.ended[i] = said.at_ns
             if said.stream == ERR and said.text.strip():
-                self._printed[i] = said.text
+                # A trace of node.js ends with its version, and has the reason above.
+                if _REASON.match(said.text) or not _REASON.match(self._printed.get(i, "")):
+                    self._printed[i] = said.text
             elif said.stream == FAILED:
                 self.count += 1
                 if len(self.first) < MOST_KEPT:

@@ -26,6 +26,7 @@ from fleet.addons.studies.plan import run_key
 from fleet.addons.studies.row import FAILED, VOTES, Covered, Reached, Row, sometimes_names, voted
 from fleet.addons.studies.spec import LARGEST_SEED
 from fleet.addons.studies.statistics import most_failures
+from fleet.analysis.randomness import may_draw
 from fleet.execution.external_agents import refuse
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections import episodes
@@ -99,11 +100,11 @@ def search(
     """Run a scenario with its own seed, the next one and so on, until a check fails. `on_progress`: called with the
     number of runs so far. `check`: only this one ends it; None: any that the scenario states. `budget_s`: after this
     wall time no run begins. `keep`: keeps the first scenario of each kind of failure; then the search goes on after a
-    failure, and runs of before count. Raises StudyError: the scenario has no nemesis, or not this check; or the folder
-    cannot be used."""
+    failure, and runs of before count. Raises StudyError: the scenario draws nothing, or has not this check; or the
+    folder cannot be used."""
     refuse(scenario, "a run of a study", stacks=True)
-    if scenario.undrawn.nemesis is None:
-        raise StudyError(f"{scenario.name} has no random faults, so all seeds have the same: --nemesis adds some")
+    if scenario.undrawn.nemesis is None and not may_draw(scenario):
+        raise StudyError(f"{scenario.name} draws nothing at random, so all seeds are the same: --nemesis adds faults")
     text, until = scenario.to_undrawn_yaml(), time.monotonic() + budget_s
     work = _Search(scenario, text, check, modules, keep)
 

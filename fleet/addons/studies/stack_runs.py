@@ -60,6 +60,7 @@ class StackRuns:
         self._since = [0, 0]  # runs, and those that were late, since their number at a time changed
         self._broken = False  # whether a run without a result was told
         self._one = False  # whether two runs would need the same port
+        self._told = False  # that the runs are on the wall clock
 
     def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
         """Make every run; see `Engine.make`. No process, port or folder of one is left, whatever ends this."""
@@ -104,6 +105,10 @@ class StackRuns:
             named = [name for name, node in nodes if _names_a_port(node)]
             named += [f"vehicle {i}" for i, its in enumerate(scenario.controls, 1) if its.gateway is not None]
             self._one = bool(named)
+            if task.modules.programs and not self._told:
+                self._told = True
+                self._tell(f"each run takes {scenario.duration_ns / 1e9:g} s of wall time; with `clock: simulated` in the "
+                           "file runs are faster, and repeat")  # fmt: skip
             if named and self._given != 1:
                 self._tell(f"{', '.join(named)}: the file names their ports, so there is one run at a time")
 

@@ -12,6 +12,7 @@ from small_scenario import small
 from study_engine import Here, Rows
 
 from fleet.addons.studies.bare_run import bare_verdicts
+from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import CheckRow, Covered, Row
 from fleet.addons.studies.search import SearchResult, nemesis_of, search
@@ -38,6 +39,16 @@ def test_it_is_the_first_seed_that_fails_in_whatever_order_they_are_run() -> Non
     assert found.scenario == small(NEMESIS, CHECK, f"seed={fails[0]}")
     later = searched(NEMESIS, CHECK, f"seed={fails[0] + 1}")
     assert (later.first_seed, later.seed) == (fails[0] + 1, fails[1])
+
+
+def test_losses_differ_by_seed_without_any_fault() -> None:
+    """Such a scenario was refused: all its seeds were said to have the same."""
+    lossy, aged = "network.links={'*': loss 60%}", "checks={max_age: {below: 290 ms}, tumbled: waived}"
+    fails = [seed for seed in range(1, 13) if not judged(small(lossy, aged, f"seed={seed}")).passed]
+    assert searched(lossy, aged).seed == (fails[0] if fails else None)
+    assert fails
+    with pytest.raises(StudyError, match="draws nothing at random"):
+        searched(aged)
 
 
 class OneByOne(Here):

@@ -107,8 +107,8 @@ class StackRuns:
             self._one = bool(named)
             if task.modules.programs and not self._told:
                 self._told = True
-                self._tell(f"each run takes {scenario.duration_ns / 1e9:g} s of wall time; with `clock: simulated` in the "
-                           "file runs are faster, and repeat")  # fmt: skip
+                takes = f"each run takes {scenario.duration_ns / 1e9:g} s of wall time"
+                self._tell(f"{takes}; with `clock: simulated` in the file runs are faster, and repeat")
             if named and self._given != 1:
                 self._tell(f"{', '.join(named)}: the file names their ports, so there is one run at a time")
 

@@ -49,7 +49,7 @@ from netem.wire.vehicle_bus import Inbound
 from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
-from world.turns import Turn, Turns
+from world.turns import TickOrder, Turn
 
 log = logging.getLogger(__name__)
 
@@ -87,7 +87,7 @@ class WorldProcess:
         self._ids = run.state.ids
         most = len(self._ids) if most_asked is None else most_asked
         self._hosts = hosts = AgentGroups(bus, keys, members, keys.cmd)
-        self._turns = Turns(run.config.round_ticks, most, lambda i, nav: -hosts.of(i, nav.incarnation) or i)
+        self._turns = TickOrder(run.config.round_ticks, most, lambda i, nav: -hosts.of(i, nav.incarnation) or i)
         self._shell = Mailbox(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)

@@ -22,7 +22,7 @@ from netem.wire.messages import (
 Turn = list[tuple[int, Nav]]  # vehicles, whose agents are asked in one message, and what they are asked
 
 
-class Turns:
+class TickOrder:
     """Which navs may leave.
 
     An agent's turn is over with the command of a round tick. It gets the navs after that tick when all agents have

@@ -31,7 +31,7 @@ from fleet.quantities import vehicle_names
 from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.acoustic import describe_noise
-from fleet.scenario.sections.graph import reached
+from fleet.scenario.sections.graph import reachable
 from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.turns import describe_turns, greatest_age_s
 from world.vectors import Vec3
@@ -304,7 +304,7 @@ def _warnings(scenario: Scenario, found: Analysis) -> Iterator[str]:
     late = [section.id or f"f{n}" for n, section in enumerate(spec.faults, start=1) if section.at >= spec.duration]
     if late:
         yield f"fault {', '.join(late)}: the run is over before it begins"
-    connectivity = Connectivity.asked(scenario)
+    connectivity = Connectivity.from_scenario(scenario)
     if connectivity is not None and connectivity.trivial:
         yield "checks.connected always holds: its vehicles follow the reference themselves (graph.reference)"
 
@@ -357,7 +357,7 @@ def _unreached(scenario: Scenario) -> list[int]:
     hearers: dict[int, list[int]] = {}
     for src, dst in scenario.graph.links:
         hearers.setdefault(src, []).append(dst)
-    told = reached((i for i in vehicles if scenario.b[i - 1] > 0.0), hearers)
+    told = reachable((i for i in vehicles if scenario.b[i - 1] > 0.0), hearers)
     return [i for i in vehicles if i not in told]
 
 

@@ -21,7 +21,7 @@ from fleet.scenario.schema.checks import (
     Standing,
     Tumbled,
 )
-from fleet.scenario.schema.programs import DONE, RUNNING, wanted
+from fleet.scenario.schema.programs import DONE, RUNNING, expected_ending
 from netem.condition import Link
 from netem.link_selector import parse_selector, select
 
@@ -318,7 +318,7 @@ def _programs_of_nodes(scenario: Scenario, journal: Journal) -> Verdict:
     bad: list[tuple[int, int, str]] = []  # when [ns], whose, and in words
     failed = {one.vehicle: one for one in reversed(failures.first)}
     for i, name in enumerate(scenario.spec.names or (), start=1):
-        want, ended = wanted(asked, name, name), failures.ended.get(i)
+        want, ended = expected_ending(asked, name, name), failures.ended.get(i)
         if (one := failed.get(i)) is not None:
             bad.append((one.at_ns, i, f"{name} {one.words}"))
         elif want == DONE and ended is None:

@@ -98,7 +98,7 @@ def clock(context: click.Context) -> Iterable[str]:
 @_words
 def injection(context: click.Context) -> Iterable[str]:
     """The next words in `fleet inject`."""
-    from fleet.scenario.faults.kind import OfFleet, OfLinks
+    from fleet.scenario.faults.kind import FleetFault, LinkFault
     from fleet.scenario.faults.kinds import KINDS
     from fleet.scenario.faults.of_links import PartitionFault
 
@@ -114,7 +114,7 @@ def injection(context: click.Context) -> Iterable[str]:
         return _CONDITIONS if kind.name == "link" else ()
     vehicles, links = _targets(_run(context, *named))
     match kind:
-        case OfLinks():
+        case LinkFault():
             both = [f"{a}<->{b}" for a, b in links if a < b and (b, a) in links]
             return ["*", *(f"{a}->{b}" for a, b in links), *both]
         case PartitionFault():
@@ -122,7 +122,7 @@ def injection(context: click.Context) -> Iterable[str]:
 
             isolated = [f"isolate:{i}" for i in range(1, vehicles + 1)]
             return [*NAMED_PARTITIONS[:-1], *isolated]
-        case OfFleet():
+        case FleetFault():
             return ()
     return [str(i) for i in range(1, vehicles + 1)]
 

@@ -37,7 +37,7 @@ from fleet.addon import leave_out, sound_parts
 from fleet.cli.documents.output import JSON
 from fleet.cli.types import PACE, PATH, SECONDS, SHARE, SPEED, TIME, Effect, Fallback, Whole, is_given
 from fleet.errors import FleetError
-from fleet.option import NEEDED, Kind, OptionField, declared, fields, holds_fields, unwrapped
+from fleet.option import NEEDED, Kind, OptionField, fields, holds_fields, option_from_annotation, unwrapped
 
 if TYPE_CHECKING:
     import msgspec
@@ -224,7 +224,7 @@ def _taken(parameter: Parameter) -> _Taken:
     if holds_fields(kind):
         return _Taken(parameter.name, tuple(fields(kind).values()), kind)
     default = NEEDED if parameter.default is Parameter.empty else parameter.default
-    return _Taken(parameter.name, (declared(parameter.name, kind, default),), None)
+    return _Taken(parameter.name, (option_from_annotation(parameter.name, kind, default),), None)
 
 
 def _argument(field: OptionField) -> click.Argument:
@@ -298,7 +298,7 @@ def _type(field: OptionField) -> click.ParamType[Any]:
     if field.shape is dict:
         return click.STRING
     if field.shape in (list, tuple):
-        item = declared(field.name, field.item)
+        item = option_from_annotation(field.name, field.item)
         return _type(item) if field.kind is Kind.TEXT else _Checked(field)
     if field.shape is Literal:
         return click.Choice(field.words)

@@ -110,16 +110,16 @@ def execute_and_print(
     from fleet.execution.execute import execute
 
     with ExitStack() as stack:
-        beside = [stack.enter_context(each.beside(options)) for each in companions]
+        beside = [stack.enter_context(each.start(options)) for each in companions]
 
         def on_published(directory: Path) -> None:
             for each in reversed(beside):  # what may end the run's wait for a listener, such as the page, comes last
-                _tell(each.published, directory)
+                _tell(each.on_run_published, directory)
 
         result = execute(scenario, replace(options, on_published=on_published), terminal)
         if result.directory is not None:
             for each in beside:
-                _tell(each.over, result.directory)
+                _tell(each.on_run_ended, result.directory)
         cli_junit.write(junit, result.scenario, cli_junit.of_run(result, typed_command()))
         _print_result(result, quiet=options.quiet)
     sys.exit(result.status.exit)

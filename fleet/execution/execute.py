@@ -129,7 +129,7 @@ def _prepare(
     shared = Hosting() if in_process else hosting(scenario, options)
 
     # Before anything is made, too: one in Python may be wrong.
-    checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.tick)
+    checks = OwnChecks.from_scenario(scenario, 0 if options.start is None else options.start.tick)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     if in_process:

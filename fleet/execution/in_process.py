@@ -346,5 +346,5 @@ def in_process(
     """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`. `judged`: the
     user's own checks see everything, too. Raises CheckError if a check in Python cannot be made.
     """
-    checks = OwnChecks.asked(scenario, 0 if before is None else before.granted) if judged else None
+    checks = OwnChecks.from_scenario(scenario, 0 if before is None else before.granted) if judged else None
     return InProcess(scenario, Journal(scenario, log, checks=checks), before, agents, salt)

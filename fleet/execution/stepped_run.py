@@ -32,7 +32,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.writer import LogWriter
 from fleet.result.result import Result, Status, Wall
 from fleet.result.verdict import Margin
-from fleet.scenario.loading import changed, load_scenario
+from fleet.scenario.loading import load_scenario, with_overrides
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.fault_words import read_fault
@@ -454,7 +454,7 @@ def loaded(
     with trusting(trust):
         if not isinstance(scenario, Scenario):
             return load_scenario(scenario, changes)
-        return changed(scenario, changes) if changes else scenario
+        return with_overrides(scenario, changes) if changes else scenario
 
 
 def override_texts(changes: Changes) -> list[str]:

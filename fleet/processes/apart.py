@@ -24,7 +24,7 @@ def can_copy() -> bool:
     return len(os.listdir("/proc/self/task")) == 1
 
 
-def apart(make: Callable[[], R]) -> R:
+def in_child_process(make: Callable[[], R]) -> R:
     """What a function returns, called in a copy of this process.
 
     Args:

@@ -68,8 +68,8 @@ class Journal:
         self.metrics = Metrics(scenario)
         self.ledger = Ledger(scenario.graph.links)
         self.ages = Ages(scenario.graph.links, from_first_packet=bool(scenario.nodes))
-        self.separation = Separation.asked(scenario)
-        self.connectivity = Connectivity.asked(scenario)
+        self.separation = Separation.from_scenario(scenario)
+        self.connectivity = Connectivity.from_scenario(scenario)
         self.failures = ProgramFailures()
         self.happened: list[Event] = []  # events that are written already
         self.begin = 0  # the tick at which the run begins; another one if it goes on from another run

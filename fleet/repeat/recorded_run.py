@@ -18,7 +18,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY, Recovery, SignalCheck
 from fleet.scenario.sections.fault_entry import is_fault, values_of
-from fleet.scenario.sections.node_names import named_values
+from fleet.scenario.sections.node_names import values_to_names
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy, ran_from
@@ -72,7 +72,7 @@ class Recorded:
         return rerun(self.path, self.text, self.events, self.last_ns, overrides, policy)
 
 
-def recorded(path: Path, on_progress: OnProgress = lambda _: None) -> Recorded:
+def read_recorded_run(path: Path, on_progress: OnProgress = lambda _: None) -> Recorded:
     """Read a log. Raises LogReadError if there is no log to read; FleetError if it holds no scenario of ours."""
     path = log_path(path)
     reader = LogReader(path, on_progress)
@@ -98,7 +98,7 @@ def script(path: Path, on_progress: OnProgress = lambda _: None) -> Scenario:
     """The scenario of a log, its faults taken from what happened. Raises LogReadError if there is no log to read;
     FleetError if it holds no scenario of ours.
     """
-    return recorded(path, on_progress).script()
+    return read_recorded_run(path, on_progress).script()
 
 
 def _attached(path: Path, reader: LogReader) -> str:
@@ -160,7 +160,7 @@ def _entries(events: list[tuple[int, FaultMessage]], end_ns: int, names: Sequenc
         if not is_fault(event.entry) or event.what.startswith("lost "):
             continue  # a loss happens again by itself; only older logs have such events
         if event.action == "begins":
-            values = named_values(values_of(event.entry), names) or read_fault(event.what)
+            values = values_to_names(values_of(event.entry), names) or read_fault(event.what)
             entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **values, "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:
             entries[event.fault]["for"] = show_time(at_ns - entries[event.fault]["_at"])

@@ -35,7 +35,7 @@ from fleet.mcap.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.recorder.start import Leg, Start
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_agent import NotRecordedError, recorded_agents
-from fleet.repeat.recorded_run import Recorded, recorded
+from fleet.repeat.recorded_run import Recorded, read_recorded_run
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
@@ -79,7 +79,7 @@ def verify(
     of ours, or no message; ScenarioError if its scenario does not run here: another version wrote it, or a law is not
     installed and not trusted; NotRecordedError if it lacks commands of an external agent.
     """
-    source = recorded(path, reading)
+    source = read_recorded_run(path, reading)
     path, reader, last_ns = source.path, source.reader, source.last_ns
     source.insist_on_lockstep(
         "it does not come out the same again", "fleet regress tells how often kept failures come again"

@@ -14,7 +14,7 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.scenario import Reading, Scenario
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text import scenario_yaml
-from fleet.scenario.text.nodes import expanded, still
+from fleet.scenario.text.nodes import nodes_to_vehicles, with_moored_defaults
 from fleet.scenario.text.overrides import Override, apply
 from fleet.scenario.text.simulated_nodes import SIMULATED, command_folders, simulated
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
@@ -78,7 +78,7 @@ def parse_scenario(
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
         root = root.with_entry("name", root.place, Scalar(name, root.place))
     root, more = apply(root, overrides)
-    root = expanded(root, problems) if "nodes" in root.entries else still(root)
+    root = nodes_to_vehicles(root, problems) if "nodes" in root.entries else with_moored_defaults(root)
     parts, mistakes = validate(root, folder, policy)
     problems += [*more, *mistakes]
     if parts is None or problems:
@@ -102,7 +102,7 @@ def _simulated(spec: ScenarioSpec, source_name: str, folder: Path | None, policy
     return parts
 
 
-def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:
+def with_overrides(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:
     """Read the text of a scenario once more, with further overrides after the earlier ones.
 
     All values that the seed draws are drawn anew. Problems name the lines of the file. Raises ScenarioError.

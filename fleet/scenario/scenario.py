@@ -43,7 +43,7 @@ from world.vectors import minus
 
 
 class Reading(NamedTuple):
-    """The sources of a scenario; `loading.changed` reads them once more."""
+    """The sources of a scenario; `loading.with_overrides` reads them once more."""
 
     text: str
     overrides: tuple[str | Override, ...]
@@ -74,7 +74,7 @@ class Scenario:
         self.conditions = parts.conditions  # every link that is not perfect at the start
         self.radios = parts.radios  # rate and limit of all that a vehicle sends
         self.changing = parts.changing  # what the others do whose condition changes by itself
-        self.selectors = parts.written  # the last entry of network.links that names each link
+        self.selectors = parts.selectors  # the last entry of network.links that names each link
         self.controls = parts.controls  # what each vehicle is and runs
         self.external = tuple(i for i, its in enumerate(self.controls, 1) if its.external)  # agents that others start
         self.faults = parts.faults
@@ -271,7 +271,7 @@ class Scenario:
     def to_yaml(self) -> str:
         """The record of this run: the merged scenario, with units and all faults; it loads to an equal scenario.
 
-        With another seed it has the same faults: for that there are `loading.changed` and `to_undrawn_yaml`.
+        With another seed it has the same faults: for that there are `loading.with_overrides` and `to_undrawn_yaml`.
         """
         return scenario_yaml.scenario_yaml(self.spec)
 

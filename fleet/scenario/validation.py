@@ -35,7 +35,7 @@ from fleet.scenario.rules import (
 from fleet.scenario.rules.report import Report, dotted
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.node_names import of_nodes
+from fleet.scenario.sections.node_names import with_node_names
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
 from fleet.scenario.trust import READING, Policy
 from fleet.scenario.value_types import Section, section_of
@@ -142,7 +142,7 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
             return validate(root, folder, policy)
     apply_rules(parts, report)
     names = report.keys("nodes")
-    told = [replace(problem, message=of_nodes(problem.message, names)) for problem in report.problems]
+    told = [replace(problem, message=with_node_names(problem.message, names)) for problem in report.problems]
     return (None if told else parts), told
 
 

@@ -24,7 +24,7 @@ from fleet import addon
 from fleet.addon import AddOn, Verb
 from fleet.addons import api
 from fleet.cli import verbs
-from fleet.cli.companion import Beside, Companion, Companions
+from fleet.cli.companion import Companion, Companions, RunCompanion
 from fleet.cli.declare import command
 from fleet.cli.exporter import Exporter
 from fleet.cli.group import command_of
@@ -33,7 +33,7 @@ from fleet.errors import ScenarioError
 from fleet.execution.options import Options
 from fleet.mcap.other import OtherData
 from fleet.option import Option
-from fleet.scenario.faults.kind import OfFleet
+from fleet.scenario.faults.kind import FleetFault
 from fleet.scenario.faults.kinds import KINDS, every_kind
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -74,13 +74,13 @@ class Lamp(Companion):
         return how
 
     @contextmanager
-    def beside(self, how: Options) -> Iterator[Beside]:
+    def beside(self, how: Options) -> Iterator[RunCompanion]:
         HEARD.append("on")
         yield _Shining()
         HEARD.append("off")
 
 
-class _Shining(Beside):
+class _Shining(RunCompanion):
     def over(self, directory: Path) -> None:
         HEARD.append(f"over, with a log: {(directory / 'run.mcap').exists()}")
 
@@ -116,7 +116,7 @@ class Tape(OtherData):
         file.write_bytes(path.read_bytes()[::-1])
 
 
-class SquallFault(OfFleet):
+class SquallFault(FleetFault):
     """A gust for everybody."""
 
     value, example = float, "squall 3"
@@ -146,7 +146,7 @@ class Broken:
     class Loud(SquallFault):
         name = "loud \x1b[31m"
 
-    class NoExample(OfFleet):
+    class NoExample(FleetFault):
         name, value = "bare", float
 
     class KeylessList(Listing):
@@ -364,7 +364,7 @@ def test_the_api_of_add_ons_is_what_type_checkers_see_and_what_the_guide_lists()
     assert all(getattr(api, name) is not None for name in api.__all__)
     guide = (ROOT / "docs/guide/add-ons.md").read_text("utf-8")
     assert {name for name in api.__all__ if f"`{name}`" not in guide} == set()
-    with pytest.raises(AttributeError, match="it has Beside, "):
+    with pytest.raises(AttributeError, match="it has RunCompanion, "):
         api.Verb  # noqa: B018
 
 

@@ -18,7 +18,7 @@ from fleet.addons.learning.policy_agent import Action, Choices, HeldLife, Policy
 from fleet.errors import FleetError
 from fleet.execution.stepped_run import Run, State
 from fleet.result.result import Result, Status
-from fleet.scenario.loading import changed
+from fleet.scenario.loading import with_overrides
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import BeliefKind
 
@@ -181,7 +181,9 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
             self._seeds = np.random.default_rng(episode)
         else:
             episode = int(self._seeds.integers(2**31))
-        scenario = self.scenario if episode == self.scenario.seed else changed(self.scenario, [f"seed={episode}"])
+        scenario = (
+            self.scenario if episode == self.scenario.seed else with_overrides(self.scenario, [f"seed={episode}"])
+        )
         if scenario.graph.links != self.scenario.graph.links:
             raise FleetError(
                 f"seed {episode} draws another graph than seed {self.scenario.seed}, so agents would hear other "

@@ -33,7 +33,7 @@ from fleet.mcap.reader import LogReadError
 from fleet.mcap.records import Array
 from fleet.mcap.seekable_log import SeekableLog, Track
 from fleet.quantities import vehicle_numbers
-from fleet.repeat.recorded_run import recorded
+from fleet.repeat.recorded_run import read_recorded_run
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.fault_entry import TUMBLED
@@ -199,7 +199,7 @@ class LogFeed:
         self.path = path
         self._loop = loop
         self.name = run_name(path)
-        run = recorded(path)
+        run = read_recorded_run(path)
         self.scenario: Scenario = run.script()
         self._begin_s = begin_ns(run.reader) / 1e9
         self._tape = SeekableLog(run.path)

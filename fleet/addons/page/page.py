@@ -23,7 +23,7 @@ from fleet.errors import FleetError
 from fleet.execution.directory import in_use
 from fleet.execution.fault_request import checked_fault
 from fleet.recorder.scene.styles import PAGE
-from fleet.scenario.faults.kind import FaultKind, OfLinks, OfVehicles
+from fleet.scenario.faults.kind import FaultKind, LinkFault, VehicleFault
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.fault_words import read_fault
@@ -105,13 +105,13 @@ class FaultForm:
         match kind:
             case "link":
                 src, dst = int(said["src"]), int(said["dst"])
-                offered = suggestions(OfLinks, f"{src}->{dst}")
+                offered = suggestions(LinkFault, f"{src}->{dst}")
                 both = (dst, src) in self._feed.scenario.graph.links
                 if both:
                     offered["cut both ways"] = f"down {src}<->{dst}"
                 title = f"Link from vehicle {src} to vehicle {dst}"
             case "vehicle":
-                offered = suggestions(OfVehicles, str(int(said["i"])))
+                offered = suggestions(VehicleFault, str(int(said["i"])))
                 title = f"Vehicle {int(said['i'])}"
             case "partition":
                 groups = [[int(i) for i in group] for group in said["groups"]]

@@ -158,7 +158,7 @@ class ViewState:
             self.at_s = max(self.at_s, at_s)
         for row in rows:
             if (history := self.links.get((row["src"], row["dst"]))) is not None:
-                history.told(at_s - row["age_s"])
+                history.mark_sent(at_s - row["age_s"])
 
     def faults(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Take the list of faults, and of states of vehicles that last. `rows`: id, what, entry, from_s, to_s and

@@ -42,7 +42,7 @@ class Recording:
         return self.signals[name]
 
 
-def recorded(log: fleet.Log) -> Recording:
+def recording_of(log: fleet.Log) -> Recording:
     scenario = log.scenario
     t = max((log[f"uuv/{i}/state"].t for i in range(1, scenario.vehicles + 1)), key=len)
     made = Recording(scenario, t)
@@ -261,7 +261,7 @@ def run_case(name: str, progress: Any) -> Outcome:
     scenario = CASES[name].scenario()
     with PrivateFolder("reproduce") as folder, fleet.Run(scenario, log=folder / "run.mcap") as run:
         result = run.to_end(progress)
-        recording = recorded(fleet.open_log(folder / "run.mcap"))
+        recording = recording_of(fleet.open_log(folder / "run.mcap"))
     every = max(1, round(EVERY_S * 1e9 / scenario.tick_ns))
     kept = {key: recording[key][::every].astype(np.float32) for key in _PICTURED if key in recording.signals}
     inputs = {key: recording[key][:, 0].astype(np.float32) for key in ("demand", "applied")} | {"t": recording.t}

@@ -135,7 +135,7 @@ def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) 
     return sorted(found, key=lambda one: (one.t, one.vehicle))
 
 
-def told(found: Sequence[Happening]) -> list[str]:
+def captions(found: Sequence[Happening]) -> list[str]:
     """A line such as `tumbled: UUV 2 at 27.7 s (3 times), UUV 3 at 26.3 s` for each kind."""
     lines = []
     for what in dict.fromkeys(one.what for one in found):
@@ -521,7 +521,7 @@ def _explained(
 
 def _finish(figure: Figure, runs: Sequence[Run], happened: Sequence[Happening], notes: Sequence[str]) -> None:
     cut = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
-    write_caption(figure, [*notes, *told(happened), *cut])
+    write_caption(figure, [*notes, *captions(happened), *cut])
 
 
 def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:

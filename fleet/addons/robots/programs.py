@@ -28,7 +28,7 @@ from fleet.processes.children import describe_exit
 from fleet.result.verdict import Verdict
 from fleet.scenario.faults.kind import Kill, Part
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.programs import DONE, ProgramSection, filled, programs_of, wanted
+from fleet.scenario.schema.programs import DONE, ProgramSection, expected_ending, filled, programs_of
 from fleet.scenario.sections.node_signals import told_by
 from netem.fault_kinds import WorldFaultKind
 from netem.histogram import Histogram
@@ -363,7 +363,7 @@ class Programs:
         self._print("\n".join([f"{state.name} {how} at t = {at_s:.2f} s", *self._tail_of(state, FEW_LINES)]))
 
     def _wanted(self, state: ProgramState) -> str:
-        return wanted(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
+        return expected_ending(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
 
     def _is_fine(self, state: ProgramState) -> bool:
         return self._wanted(state) == DONE and state.code == 0

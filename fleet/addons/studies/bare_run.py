@@ -99,7 +99,7 @@ class _Values(NamedTuple):
 class _BareRun:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        checks = OwnChecks.asked(scenario, budget_s=0.0)
+        checks = OwnChecks.from_scenario(scenario, budget_s=0.0)
         assert checks is not None
         self._checks = checks
         self._world, self._network = World(scenario.world_config), Netem(scenario.netem_config)

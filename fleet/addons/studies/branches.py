@@ -20,7 +20,7 @@ from fleet.analysis.verdicts import judge
 from fleet.execution.external_agents import refuse
 from fleet.execution.in_process import InProcess, in_process
 from fleet.execution.moments import Prefix, reach
-from fleet.processes.apart import apart, can_copy
+from fleet.processes.apart import can_copy, in_child_process
 from fleet.recorder.log_file import NoDigest
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.start import Leg, Start
@@ -83,7 +83,7 @@ def run_branches(scenario: Scenario, asked: Branches, progress: Callable[[float]
         for number, salt in enumerate(asked.salts):
             last = number == len(asked.salts) - 1
             if not last and moment is not None and moment.run.can_be_copied and can_copy():
-                rows.append(apart(partial(_future, scenario, asked, salt, moment, progress)))
+                rows.append(in_child_process(partial(_future, scenario, asked, salt, moment, progress)))
             else:
                 rows.append(_future(scenario, asked, salt, moment, progress))
                 moment = None if last else _moment(scenario, asked)

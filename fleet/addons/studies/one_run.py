@@ -29,7 +29,7 @@ from fleet.execution.directory import LOG, SCENARIO
 from fleet.execution.stepped_run import Run
 from fleet.execution.triggered import resolve_triggers
 from fleet.execution.whole_run import judged
-from fleet.processes.apart import apart, can_copy
+from fleet.processes.apart import can_copy, in_child_process
 from fleet.recorder.log_file import LogFile, NoDigest
 from fleet.result.file import write_result
 from fleet.result.result import Result, Status
@@ -127,10 +127,10 @@ def _whole(task: Task, scenario: Scenario, check: Callable[[float], None]) -> Ro
     if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
         return _by_verdicts(task, verdicts)
     if scenario.spec.triggers:
-        scenario = fired_of(task)
+        scenario = with_triggers_resolved(task)
     samples = Samples(scenario, task.signals)
     if task.log:
-        return measured_row(recorded(scenario, Path(task.log), check, samples), samples)
+        return measured_row(run_and_record(scenario, Path(task.log), check, samples), samples)
     # The digest of a run that fails is that of its repetition: to make it here would make each failure twice.
     result = judged(scenario, in_time, samples, log=NoDigest() if task.bare else None)
     return measured_row(result, samples)
@@ -157,7 +157,7 @@ def healed_runs(task: Task, scenario: Scenario) -> list[Row]:
                 run.go(tick - run.tick)
             make = partial(_healed, run, task._replace(text=text))
             if tick < task.healed[-1][0] and run.can_be_copied and can_copy():
-                rows.append(apart(make))
+                rows.append(in_child_process(make))
             else:
                 rows.append(make())
                 run = None
@@ -202,7 +202,7 @@ def _text(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def recorded(
+def run_and_record(
     scenario: Scenario, directory: Path, check: Callable[[float], None] | None = None, samples: Samples | None = None
 ) -> Result:
     """Make a run, and the directory that `fleet run` would have made; it is there as a whole or not at all."""
@@ -224,7 +224,7 @@ def scenario_of(task: Task) -> Scenario:
     return _read(task, lambda scenario: scenario)
 
 
-def fired_of(task: Task) -> Scenario:
+def with_triggers_resolved(task: Task) -> Scenario:
     """The same with faults in place of its triggers. Raises ScenarioError."""
     return _read(task, resolve_triggers)
 

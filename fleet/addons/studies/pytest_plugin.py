@@ -140,10 +140,10 @@ def _once(asked: _Asked, seed: int) -> tuple[Result, str]:
 
 def _kept(asked: _Asked, seed: int, directory: Path) -> str:
     """Make a run once more, with its directory; returns where that is, or why there is none."""
-    from fleet.addons.studies.one_run import recorded
+    from fleet.addons.studies.one_run import run_and_record
 
     try:
-        recorded(asked.load(seed), directory)
+        run_and_record(asked.load(seed), directory)
     except OSError as error:
         return f"its log is not kept: {error}"
     return f"its log: {directory} (fleet view {directory})"

@@ -21,7 +21,7 @@ from fleet.addons.studies.engine import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.failures import FailureFolder, FoundFailure, SearchProgress, file_of
 from fleet.addons.studies.modules import NO_MODULES, Modules
-from fleet.addons.studies.one_run import Task, fired_of, scenario_of
+from fleet.addons.studies.one_run import Task, scenario_of, with_triggers_resolved
 from fleet.addons.studies.plan import run_key
 from fleet.addons.studies.row import FAILED, VOTES, Covered, Reached, Row, sometimes_names, voted
 from fleet.addons.studies.spec import LARGEST_SEED
@@ -254,7 +254,7 @@ class _Search:
         return found
 
     def scenario(self, seed: int) -> Scenario:
-        return fired_of(self.task(seed))
+        return with_triggers_resolved(self.task(seed))
 
     @property
     def _key(self) -> str:

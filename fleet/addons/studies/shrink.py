@@ -35,7 +35,7 @@ from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.programs import DONE
-from fleet.scenario.sections.node_names import numbered_values
+from fleet.scenario.sections.node_names import values_to_numbers
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from netem.parsing import NUMBER
 from world.plugins.loading import unit_file
@@ -270,7 +270,7 @@ def tree_of(scenario: Scenario) -> Tree:
         raise ScenarioError(problems)
     values: Tree = plain(root)
     if scenario.nodes:  # inside, nodes have numbers
-        faults = numbered_values(values.get("faults") or [], scenario.nodes)
+        faults = values_to_numbers(values.get("faults") or [], scenario.nodes)
         values |= {"vehicles": scenario.vehicles, "faults": faults}
     return values
 

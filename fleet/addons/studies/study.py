@@ -280,7 +280,7 @@ def sweep(
     """
     need_extra()
     study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
-    spec = study.spec.changed(**keywords(StudySpec, {"vary": vary, **options}))
+    spec = study.spec.with_options(**keywords(StudySpec, {"vary": vary, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
     with trusting(trust):
         store, modules = prepare(plan_of(spec, study.origin), directory, spec)

@@ -96,7 +96,7 @@ def prepare(
     first, path = scenarios[0], Path(plan.scenario)
     folder = path.parent.resolve() if path.exists() else None
     judged_by = "" if border is None else border.check
-    measures, columns = declared(spec or StudySpec(plan.scenario, check=judged_by), scenarios)
+    measures, columns = measure_columns(spec or StudySpec(plan.scenario, check=judged_by), scenarios)
     record = StudyRecord(
         version=VERSION,
         scenario=first.name,
@@ -121,7 +121,7 @@ def prepare(
     return Store.create(directory, record, [(point.values, text) for text, point in texts.items()]), modules
 
 
-def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str, ...], list[MeasureColumn]]:
+def measure_columns(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str, ...], list[MeasureColumn]]:
     """The measures that the table shows, as columns are named, and all columns of measures. Raises StudyError: there
     is no such check or measure.
 

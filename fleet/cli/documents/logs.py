@@ -9,7 +9,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from fleet.analysis.border import LinearFleet
-from fleet.analysis.link_shares import effective_loss, written
+from fleet.analysis.link_shares import changing_links, effective_loss
 from fleet.analysis.randomness import may_draw
 from fleet.analysis.slots import slack
 from fleet.analysis.stability import Analysis, oldest_s
@@ -130,7 +130,7 @@ def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: S
         seed=scenario.seed,
         draws=may_draw(scenario),
         theory=_theory(scenario, found),
-        changing_links=[_changing(its, links) for _, its, links in written(scenario)],
+        changing_links=[_changing(its, links) for _, its, links in changing_links(scenario)],
         faults=[FaultTime.of(fault) for fault in timeline(scenario)],
         warnings=warnings,
         not_checked=problem_rows(refused),

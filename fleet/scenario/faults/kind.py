@@ -94,8 +94,8 @@ def plane(size: float, angle: float, rest: str) -> str:
 class FaultKind:
     """A kind of fault. Schema, grammar, completion, page, rules, nemesis and `fleet shrink` read its attributes.
 
-    A kind is one class: its base says what it concerns (`OfLinks`, `OfVehicles`, `OfFleet`), its methods what it does
-    there, and `fleet.scenario.faults.kinds` names it. `values` are always those behind its name in a scenario.
+    A kind is one class: its base says what it concerns (`LinkFault`, `VehicleFault`, `FleetFault`), its methods what it
+    does there, and `fleet.scenario.faults.kinds` names it. `values` are always those behind its name in a scenario.
     """
 
     value: ClassVar[Any]  # the type of what a scenario has behind its name
@@ -148,7 +148,7 @@ class FaultKind:
         return target
 
 
-class OfLinks(FaultKind):
+class LinkFault(FaultKind):
     """It concerns the links that a selector names."""
 
     acts_on = "network"
@@ -161,7 +161,7 @@ class OfLinks(FaultKind):
         return [of_network(times, self.name, around.named(self.selectors(values)[0]))]
 
 
-class OfVehicles(FaultKind):
+class VehicleFault(FaultKind):
     """It concerns some vehicles, or all of them: by the number of each effect that the world has for it."""
 
     value: ClassVar[Any] = v.VehicleNumbers
@@ -193,7 +193,7 @@ class OfVehicles(FaultKind):
         return {}
 
 
-class OfFleet(OfVehicles):
+class FleetFault(VehicleFault):
     """It concerns all vehicles, and names none."""
 
     def vehicles(self, values: Any) -> tuple[int, ...]:

@@ -10,11 +10,11 @@ from fleet.scenario import value_types as v
 from fleet.scenario.faults.kind import (
     FaultKind,
     Kill,
-    OfVehicles,
     Part,
     SomeVehicles,
     Strength,
     Surroundings,
+    VehicleFault,
     of_network,
     of_world,
 )
@@ -22,7 +22,7 @@ from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import TimedFault
 
 
-class KillFault(OfVehicles):
+class KillFault(VehicleFault):
     """The agent ends; the vehicle drifts until it is restarted."""
 
     example = "kill 3"
@@ -41,7 +41,7 @@ class KillFault(OfVehicles):
         return [Kill(times.id, times.begin, end, self.vehicles(values))]
 
 
-class PauseFault(OfVehicles):
+class PauseFault(VehicleFault):
     """The agent is suspended; the vehicle holds its last command."""
 
     example = "pause 3"
@@ -52,7 +52,7 @@ class PauseFault(OfVehicles):
     offers = (("pause", "pause {0}"),)
 
 
-class _OfMessages(OfVehicles):
+class _OfMessages(VehicleFault):
     acts_on = "network"
     drawn = "target"
 
@@ -80,7 +80,7 @@ class SlowKeys(SomeVehicles):
     by: v.Ticks
 
 
-class SlowFault(OfVehicles):
+class SlowFault(VehicleFault):
     """The commands and the messages of an agent are late."""
 
     value = SlowKeys
@@ -107,7 +107,7 @@ class ClockKeys(SomeVehicles):
     drift: v.ClockDrift = 0.0
 
 
-class ClockFault(OfVehicles):
+class ClockFault(VehicleFault):
     """A clock, of the agent and its modem, is set to another time, and goes faster or slower. At the end the step is
     undone."""
 

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, PlainSerializer
 
 from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
-from fleet.scenario.faults.kind import FaultKind, OfLinks, Part, Strength, Surroundings, of_network
+from fleet.scenario.faults.kind import FaultKind, LinkFault, Part, Strength, Surroundings, of_network
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.value_types import Section, mistake, word_for
 from netem.wire.messages import TimedFault
@@ -22,7 +22,7 @@ def _conditions(value: Any) -> Any:
     return value
 
 
-class LinkFault(OfLinks):
+class LinkConditionFault(LinkFault):
     """Links have another condition in place of their own."""
 
     value = Annotated[dict[v.LinkSelector, v.LinkCondition], BeforeValidator(_conditions)]
@@ -44,7 +44,7 @@ class LinkFault(OfLinks):
         ]
 
 
-class DownFault(OfLinks):
+class DownFault(LinkFault):
     """Nothing passes."""
 
     example = "down 2->3"
@@ -52,7 +52,7 @@ class DownFault(OfLinks):
     offers = (("cut", "down {0}"),)
 
 
-class UpFault(OfLinks):
+class UpFault(LinkFault):
     """The end of every down, and of the links' own."""
 
     example = "up 2->3"
@@ -81,7 +81,7 @@ def _show_hold(hold: HoldKeys | None) -> Any:
     return hold and (hold.model_dump() if hold.order == "reversed" else hold.model_dump()["links"])
 
 
-class HoldFault(OfLinks):
+class HoldFault(LinkFault):
     """Packets that are sent meanwhile are kept, and come when the fault is over."""
 
     value = Annotated[HoldKeys, word_for("links"), PlainSerializer(_show_hold)]
@@ -100,7 +100,7 @@ class DuplicateKeys(Section):
     after: v.Period
 
 
-class DuplicateFault(OfLinks):
+class DuplicateFault(LinkFault):
     """Packets that are sent meanwhile come once more, so much later."""
 
     value = DuplicateKeys
@@ -119,4 +119,11 @@ class DuplicateFault(OfLinks):
         return {"links": target, "after": f"{strength.later_ns} ns"}
 
 
-OF_LINKS: Sequence[FaultKind] = (DownFault(), LinkFault(), UpFault(), PartitionFault(), HoldFault(), DuplicateFault())
+OF_LINKS: Sequence[FaultKind] = (
+    DownFault(),
+    LinkConditionFault(),
+    UpFault(),
+    PartitionFault(),
+    HoldFault(),
+    DuplicateFault(),
+)

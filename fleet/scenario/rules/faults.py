@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from fleet.quantities import show_time
-from fleet.scenario.faults.kind import OfLinks
+from fleet.scenario.faults.kind import LinkFault
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import is_drawn, partition
@@ -232,7 +232,7 @@ def _target_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, 
             return
         if not cut and not is_drawn(values):  # one that is drawn may cut no link, this time
             yield FaultProblem(name, "cuts no link of the graph")
-    elif isinstance(kind, OfLinks):
+    elif isinstance(kind, LinkFault):
         if not kind.in_water and spec.network.acoustic is not None:
             yield FaultProblem(name, "acts on links of their own, and this network is acoustic", at_key=True)
         for uneven in filter(None, (no_whole_ticks(time, spec.tick) for time in kind.times(values))):

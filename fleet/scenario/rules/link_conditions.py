@@ -9,7 +9,7 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.network import LinkSection, LinkStateSection
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.graph import reached
+from fleet.scenario.sections.graph import reachable
 from fleet.scenario.sections.trace_table import TraceTable
 from netem.parsing import nearest
 
@@ -68,7 +68,7 @@ def _states(report: Report, path: Path, states: dict[str, LinkStateSection], tic
     }
     first = next(iter(states))
     for start, end in [*((first, name) for name in states), *((name, first) for name in states)]:
-        if end not in reached([start], after):
+        if end not in reachable([start], after):
             report.add(path, f"{start} never leads to {end}", "every state must lead to every other in the end")
             return
 

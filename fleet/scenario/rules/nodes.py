@@ -99,7 +99,7 @@ def contents(parts: Parts, report: Report) -> None:
         return
     drawn = {*_possible(spec), *CONDITIONS}
     for number, fault in enumerate(spec.faults):
-        if (wrong := unfit(spec, fault)) is not None:
+        if (wrong := why_impossible(spec, fault)) is not None:
             report.add(("faults", number), *wrong)
     if spec.nemesis is not None:
         for number, pick in enumerate(spec.nemesis.pick or ()):
@@ -114,7 +114,7 @@ def contents(parts: Parts, report: Report) -> None:
             report.add(("checks", key), "judges vehicles of ours", known, key=True)
 
 
-def unfit(spec: ScenarioSpec, fault: FaultSection) -> tuple[str, str] | None:
+def why_impossible(spec: ScenarioSpec, fault: FaultSection) -> tuple[str, str] | None:
     """Why a fault cannot act on these nodes, and what could; None: it can."""
     kind, possible = fault.kind.name, _possible(spec)
     if kind not in possible:

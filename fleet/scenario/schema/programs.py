@@ -249,7 +249,7 @@ def _show_wanted(value: Mapping[str, str] | None) -> Any:
 ProgramsCheck = Annotated[dict[str, _Wanted], BeforeValidator(_wanted), PlainSerializer(_show_wanted)]
 
 
-def wanted(check: Mapping[str, str] | None, name: str, node: str) -> str:
+def expected_ending(check: Mapping[str, str] | None, name: str, node: str) -> str:
     """What a check says of a program: the last pattern that fits its name or its node; `running` if none does."""
     fitting = [
         what for pattern, what in (check or {}).items() if fnmatchcase(name, pattern) or fnmatchcase(node, pattern)

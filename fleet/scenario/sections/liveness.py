@@ -15,7 +15,7 @@ from fleet.scenario.schema.checks import ChecksSection, SignalCheck
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.sections import swarm
-from fleet.scenario.sections.graph import beside
+from fleet.scenario.sections.graph import neighbours
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.draws import bits, uniform
 
@@ -39,7 +39,7 @@ def core(nemesis: NemesisSection, ground: NemesisTargets) -> list[int]:
     if nemesis.core is not None:
         return vehicle_numbers(nemesis.core)
     spec = ground.spec
-    near = beside(ground.pairs)
+    near = neighbours(ground.pairs)
 
     def drawn(i: int) -> tuple[float, int]:
         return uniform(spec.seed, PURPOSE, i, _CORE), i
@@ -56,7 +56,7 @@ def core(nemesis: NemesisSection, ground: NemesisTargets) -> list[int]:
 def faults(nemesis: NemesisSection, ground: NemesisTargets) -> list[FaultSection]:
     """The faults: those of a swarm up to the heal, and the lasting ones."""
     spec, heal = ground.spec, healed_at(nemesis, ground)
-    chaos = swarm.written(swarm.draw(nemesis, ground, heal), ground)
+    chaos = swarm.to_sections(swarm.draw(nemesis, ground, heal), ground)
     healthy, taken = set(core(nemesis, ground)), {fault.id for fault in spec.faults}
     stay: list[FaultSection] = []
     for i in range(1, spec.vehicles + 1):

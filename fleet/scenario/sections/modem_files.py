@@ -88,7 +88,7 @@ def parse_modem(data: bytes, name: str) -> Modem:
     return modem_of(found)
 
 
-def changed(values: Values, changes: Values) -> Values:
+def merge_values(values: Values, changes: Values) -> Values:
     """The values of a modem with some that differ; a line in place of a curve removes the curve, and the other way."""
     gone: Values = {}
     for curve, line in _IN_PLACE.items():

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from fleet.scenario.faults.kind import OfLinks
+from fleet.scenario.faults.kind import LinkFault
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
@@ -44,7 +44,7 @@ def explicit(ground: NemesisTargets) -> ScenarioSpec:
             drawn, triggers = episodes.draw(nemesis, ground)
             changes["triggers"] = [*spec.triggers, *triggers]
         case "swarm":
-            drawn = swarm.written(swarm.draw(nemesis, ground), ground)
+            drawn = swarm.to_sections(swarm.draw(nemesis, ground), ground)
         case _:
             drawn = _grid(spec, nemesis, ground.links)
     kept = within_limit(nemesis.most_silent, drawn, spec.faults)
@@ -124,7 +124,7 @@ def _target(kind: str, name: str, spec: ScenarioSpec, number: int, links: Sequen
         # The draw of a partition depends on its id, not on its place: a list that is sorted by time draws the same.
         cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]
-    if isinstance(KINDS[kind], OfLinks):
+    if isinstance(KINDS[kind], LinkFault):
         pairs = sorted({(min(link), max(link)) for link in links})
         return str(Selector(*pairs[_draw(spec, number, 1, len(pairs))], both=True))
     return str(1 + _draw(spec, number, 1, spec.vehicles))

@@ -23,7 +23,7 @@ from typing import NamedTuple
 from fleet.scenario.schema.control import VehicleOverrides
 from fleet.scenario.schema.nemesis import Aim
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.graph import beside
+from fleet.scenario.sections.graph import neighbours
 from netem.condition import Condition, Link
 
 Pair = tuple[int, int]  # two vehicles that share a link in either direction, the lower number first
@@ -106,7 +106,7 @@ def bridges(pairs: frozenset[Pair]) -> tuple[Pair, ...]:
     """
     if len(pairs) > MOST_PAIRS:
         return ()
-    near = beside(sorted(pairs))
+    near = neighbours(sorted(pairs))
     order: dict[int, int] = {}
     low: dict[int, int] = {}
     found: list[Pair] = []

@@ -1,9 +1,9 @@
 """A swarm of faults: the seed draws the kinds that are on, and the beginning, length, strength and target of each
 fault.
 
-`draw` gives faults as a nemesis thinks of them, `written` gives them as a scenario writes them. Between the two they
-can be changed: shifted, stretched, aimed elsewhere, strengthened, left out. Each draw is a function of (seed, number of
-the fault, what is drawn), so a change of one fault changes no other draw.
+`draw` gives faults as a nemesis thinks of them, `to_sections` gives them as a scenario writes them. Between the two
+they can be changed: shifted, stretched, aimed elsewhere, strengthened, left out. Each draw is a function of (seed,
+number of the fault, what is drawn), so a change of one fault changes no other draw.
 
 * Kinds: each is on with probability 1/2; if none is, one of them. (A. Groce et al., "Swarm testing", ISSTA 2012: to
   leave features out finds more than to have all of them in every test.)
@@ -20,13 +20,13 @@ from dataclasses import replace
 from math import log
 from typing import Any, NamedTuple
 
-from fleet.scenario.faults.kind import OfFleet, OfLinks, Strength, between
+from fleet.scenario.faults.kind import FleetFault, LinkFault, Strength, between
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import DownFault, PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import CONDITIONS, Aim, NemesisPick, NemesisSection
-from fleet.scenario.sections.graph import beside, reached
+from fleet.scenario.sections.graph import neighbours, reachable
 from fleet.scenario.sections.nemesis_targets import (
     NemesisTargets,
     Pair,
@@ -81,7 +81,7 @@ def picks_of(nemesis: NemesisSection, ground: NemesisTargets) -> list[NemesisPic
 
 def of_links(pick: NemesisPick) -> bool:
     """Whether a pick by name needs links."""
-    return pick.drawn in CONDITIONS or isinstance(KINDS.get(pick.drawn or ""), OfLinks | PartitionFault)
+    return pick.drawn in CONDITIONS or isinstance(KINDS.get(pick.drawn or ""), LinkFault | PartitionFault)
 
 
 def span(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[int, int]:
@@ -137,7 +137,7 @@ def draw(nemesis: NemesisSection, ground: NemesisTargets, until: int | None = No
     return faults
 
 
-def written(drawn: Iterable[DrawnFault], ground: NemesisTargets) -> list[FaultSection]:
+def to_sections(drawn: Iterable[DrawnFault], ground: NemesisTargets) -> list[FaultSection]:
     """The faults of a scenario that some drawn ones are, in order of time; aims look at those before them.
 
     A fault that finds no target, such as a bridge where nothing is one, is drawn at any.
@@ -205,12 +205,12 @@ def _body(
             name = f"nemesis-{one.number}"
             links = partition(target, ground.spec.vehicles, ground.spec.seed, name, ground.links)
             cut = {(min(link), max(link)) for link in links}
-        case OfLinks():
+        case LinkFault():
             selector = _links(one, ground, past)
             target = str(selector)
             if isinstance(kind, DownFault):
                 cut = {(min(link), max(link)) for link in select(selector, ground.links)}
-        case OfFleet():
+        case FleetFault():
             target = ""
         case _:
             who = _vehicle(one, ground, past)
@@ -278,7 +278,7 @@ def _partition(one: DrawnFault, ground: NemesisTargets, past: _Past) -> str:
     if who is not None and any(who in link for link in ground.links):
         return f"isolate:{who}"
     if (pair := _bridge(one, ground, past)) is not None:
-        there = reached([pair[0]], beside(past.left(one.at) - {pair}))
+        there = reachable([pair[0]], neighbours(past.left(one.at) - {pair}))
         rest = [i for i in range(1, spec.vehicles + 1) if i not in there]
         if rest:
             return " / ".join(",".join(map(str, group)) for group in (sorted(there), rest))

@@ -12,7 +12,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import VehicleSection
 from fleet.scenario.sections import per_vehicle
 from fleet.scenario.sections.vehicle_files import LIMITS
-from fleet.scenario.text.nodes import compact
+from fleet.scenario.text.nodes import vehicles_to_nodes
 from fleet.scenario.text.yaml_writer import entry, scalar
 
 
@@ -32,7 +32,7 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
     if values["expect"] == "pass":
         del values["expect"]
     if spec.nodes is not None:
-        values = compact(values)
+        values = vehicles_to_nodes(values)
     lines: list[str] = []
     supplied = {} if spec.nodes is not None else _supplied(spec)
     for key, value in values.items():
@@ -49,7 +49,7 @@ def short_yaml(spec: ScenarioSpec) -> str:
     """The text of a scenario with nothing that is so anyway, for people. Versions may differ in what that is."""
     values = spec.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
     values["per_vehicle"] = _per_vehicle(spec)
-    values = compact(values) if spec.nodes is not None else values
+    values = vehicles_to_nodes(values) if spec.nodes is not None else values
     return "\n".join(line for key, value in values.items() if value != {} for line in entry(key, value, 0)) + "\n"
 
 

@@ -18,10 +18,10 @@ from fleet.scenario.schema.programs import (
     RUNNING,
     ProgramSection,
     StackSignalSection,
+    expected_ending,
     filled,
     nodes_of,
     programs_of,
-    wanted,
 )
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
@@ -140,7 +140,7 @@ def _by_node(spec: ScenarioSpec, names: Sequence[str]) -> dict[str, dict[str, Pr
 
 def _ends_as(asked: Mapping[str, str] | None, node: str, programs: Mapping[str, ProgramSection]) -> str:
     """What the check says of all programs of a node together: it has ended when all of them have."""
-    found = {wanted(asked, program, node) for program in programs} or {RUNNING}
+    found = {expected_ending(asked, program, node) for program in programs} or {RUNNING}
     return found.pop() if len(found) == 1 else RUNNING if RUNNING in found else DONE
 
 
@@ -166,12 +166,12 @@ def _agent(
         agent["files"] = beside
     name = names[number - 1]
     if len(programs) > 1:
-        agent["ends"] = _ENDS[wanted(spec.checks.programs, first, name)]
+        agent["ends"] = _ENDS[expected_ending(spec.checks.programs, first, name)]
         agent["beside"] = {
             program.removeprefix(f"{name}/"): {
                 "run": _command([filled(word, known) for word in each.run], folder / (each.folder or "")),
                 "env": {key: filled(text, known) for key, text in each.env.items()},
-                "ends": _ENDS[wanted(spec.checks.programs, program, name)],
+                "ends": _ENDS[expected_ending(spec.checks.programs, program, name)],
             }
             for program, each in [*programs.items()][1:]
         }

@@ -20,7 +20,7 @@ from fleet.addons.paper.cases import (
     Recording,
     U,
     late_s,
-    recorded,
+    recording_of,
     run_case,
     tumbled,
     vehicle_measures,
@@ -100,7 +100,7 @@ def test_a_failure_is_a_tumble_or_an_early_end() -> None:
 def recording(folder: Path, scenario: str, *changes: str) -> Recording:
     with fleet.Run(scenario, set=["checks={}", *changes], log=folder / "run.mcap") as run:
         run.to_end()
-    return recorded(fleet.open_log(folder / "run.mcap"))
+    return recording_of(fleet.open_log(folder / "run.mcap"))
 
 
 def test_recording_has_what_each_vehicle_reports(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.execution.whole_run import judged
 from fleet.result.verdict import Margin
-from fleet.scenario.loading import changed
+from fleet.scenario.loading import with_overrides
 from fleet.scenario.scenario import Scenario
 
 JUDGED = "checks.signal={topic: state.z, below: 99 m}"
@@ -66,7 +66,7 @@ def test_rows_of_studies_have_it(bare: bool, module: Callable[[str], str]) -> No
 def test_a_bare_run_leaves_a_failure_to_the_emulator(module: Callable[[str], str]) -> None:
     scenario = talking(module, JUDGED, text=MOORED, fails_at=50)
     assert bare_verdicts(scenario) == []
-    assert [one.check for one in bare_verdicts(changed(scenario, ["checks.programs=waived"]))] == ["state.z"]
+    assert [one.check for one in bare_verdicts(with_overrides(scenario, ["checks.programs=waived"]))] == ["state.z"]
 
 
 def test_a_search_finds_it(module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

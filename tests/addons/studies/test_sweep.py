@@ -26,7 +26,7 @@ from fleet.addons.studies.spec import StudySpec
 from fleet.addons.studies.store import Store
 from fleet.addons.studies.study import Study, open_study
 from fleet.addons.studies.summary import summarise
-from fleet.addons.studies.sweep import Progress, declared, load_points, modules_again, prepare, run_study
+from fleet.addons.studies.sweep import Progress, load_points, measure_columns, modules_again, prepare, run_study
 from fleet.addons.studies.values import parse_axis
 from fleet.errors import ScenarioError
 from fleet.execution.whole_run import run
@@ -403,4 +403,4 @@ def test_moored_vehicles_have_no_formation_error_in_the_table() -> None:
     """It was 0 in every row, since they stay where they are."""
     changes = {"moored": "true", "agent": "fleet.protocols.average:ExactAverage", "checks": "{}"}
     scenarios = load_points(plan_of(StudySpec("average", set=changes)))
-    assert declared(StudySpec("average"), scenarios)[0] == ("age_p95_s", "loss_share")
+    assert measure_columns(StudySpec("average"), scenarios)[0] == ("age_p95_s", "loss_share")

@@ -55,7 +55,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_no_check_costs_nothing() -> None:
-    assert OwnChecks.asked(small("checks={ledger: balanced}")) is None
+    assert OwnChecks.from_scenario(small("checks={ledger: balanced}")) is None
 
 
 def test_checks_stand_as_they_do_while_a_run_goes_on() -> None:
@@ -67,7 +67,7 @@ def test_checks_stand_as_they_do_while_a_run_goes_on() -> None:
     )
     asked = f"checks={{signal: [{', '.join(each)}]}}"
     scenario = small(asked)
-    journal = Journal(scenario, LogWriter(NoLog(), scenario), checks=OwnChecks.asked(scenario))
+    journal = Journal(scenario, LogWriter(NoLog(), scenario), checks=OwnChecks.from_scenario(scenario))
     seen: list[dict[str, bool | None]] = []
 
     def look() -> None:

@@ -19,7 +19,7 @@ from fleet.analysis.link_shares import effective_loss, link_lines
 from fleet.analysis.preflight import warnings
 from fleet.analysis.randomness import may_draw
 from fleet.errors import ScenarioError
-from fleet.scenario.loading import changed, parse_scenario
+from fleet.scenario.loading import parse_scenario, with_overrides
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, load_trace, read_csv
@@ -112,8 +112,8 @@ def test_a_trace_is_read_exactly_and_carried_along(tmp_path: Path) -> None:
     assert trace == LinkTrace(rows, (0, 2_500_000_000, 3 * SECOND), 3_500_000_000)
     again = read_back(s)
     (tmp_path / "log.csv").write_text(LOG.replace("412.5", "1"))
-    assert changed(s, ["seed=2"]).netem_config.changing[1, 2].conditions[0].delay_ns == 1_000_000
-    assert changed(again, ["seed=2"]).netem_config.changing == s.netem_config.changing
+    assert with_overrides(s, ["seed=2"]).netem_config.changing[1, 2].conditions[0].delay_ns == 1_000_000
+    assert with_overrides(again, ["seed=2"]).netem_config.changing == s.netem_config.changing
 
 
 @pytest.mark.parametrize(

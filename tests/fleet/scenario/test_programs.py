@@ -18,7 +18,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.programs import admit_programs
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.control import AgentSection
-from fleet.scenario.schema.programs import PLACEHOLDERS, filled, path_of, programs_of, struct_of, wanted
+from fleet.scenario.schema.programs import PLACEHOLDERS, expected_ending, filled, path_of, programs_of, struct_of
 from fleet.scenario.sections.node_signals import node_layout, told_by
 from fleet.scenario.trust import Policy
 from world.plugins.trust import trusting
@@ -63,7 +63,7 @@ def test_the_last_entry_that_fits_says_what_a_program_has_to_do(check: Any, expe
     found = stack(programs={"m*": {"run": "a"}, "m1/nav": {"run": "b"}}, checks={"programs": check})
     judged = found.spec.checks.programs
     names = programs_of(found.spec.programs or {}, found.nodes)
-    assert {name: wanted(judged, name, node) for name, node, _ in names} == expected
+    assert {name: expected_ending(judged, name, node) for name, node, _ in names} == expected
     assert parse_scenario(found.to_yaml(), "again.yaml").spec.checks.programs == judged
 
 

@@ -17,7 +17,7 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import WORDS, NemesisPick
 from fleet.scenario.sections import liveness, nemesis_targets, swarm
-from fleet.scenario.sections.graph import beside, reached
+from fleet.scenario.sections.graph import neighbours, reachable
 from fleet.scenario.sections.nemesis import within_limit
 from fleet.scenario.sections.swarm import DrawnFault
 from netem.fault_kinds import WorldFaultKind
@@ -74,7 +74,7 @@ def aimed(s: Scenario, *faults: tuple[str, str, float, float]) -> list[str]:
         DrawnFault(n, NemesisPick.model_validate({"drawn": kind}), int(at * S), int(lasts * S), aim)
         for n, (kind, aim, at, lasts) in enumerate(faults, start=1)
     ]
-    written = swarm.written(those, s.ground)
+    written = swarm.to_sections(those, s.ground)
     return [str(getattr(fault, fault.kind.name)) for fault in written]
 
 
@@ -104,7 +104,7 @@ def test_bridges_are_the_pairs_without_which_more_parts_are() -> None:
         pairs = frozenset(s.ground.pairs)
 
         def parts(some: frozenset[tuple[int, int]]) -> int:
-            return len({min(reached([i], beside(some))) for i in range(1, 9)})
+            return len({min(reachable([i], neighbours(some))) for i in range(1, 9)})
 
         assert nemesis_targets.bridges(pairs) == tuple(sorted(p for p in pairs if parts(pairs - {p}) > parts(pairs)))
 
@@ -120,7 +120,7 @@ def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
         s = small(*LONG, "nemesis=liveness", CHECKS, f"seed={seed}")
         core = set(liveness.core(s.undrawn.nemesis, s.ground))
         inside = [pair for pair in s.ground.pairs if set(pair) <= core]
-        assert len(core) == 4 and reached([min(core)], beside(inside)) == core
+        assert len(core) == 4 and reachable([min(core)], neighbours(inside)) == core
         lasting = [fault for fault in s.spec.faults if fault.for_ is None]
         hit = {int(str(getattr(fault, fault.kind.name)).removeprefix("isolate:")) for fault in lasting}
         assert hit == {1, 2, 3, 4, 5, 6} - core

@@ -228,7 +228,7 @@ class Field(NamedTuple):
     meaning: str
 
 
-def declared() -> dict[str, tuple[type[WireRecord], Route]]:
+def message_kinds() -> dict[str, tuple[type[WireRecord], Route]]:
     """Every kind of message with its class and its route, in the order of declaration."""
     return {cls.__struct_config__.tag: (cls, cls.route) for cls in get_args(Message)}
 
@@ -413,7 +413,7 @@ The map `agent`; its values are maps, arrays and scalars of MessagePack. Keys ma
 
 def page() -> str:
     parts = [_HEAD]
-    for kind, (cls, route) in declared().items():
+    for kind, (cls, route) in message_kinds().items():
         where = f"Key `{route.key}`, {route.sender} to {route.receiver}."
         parts.append(f"## `{kind}`\n\n{where} {getdoc(cls)}\n\n{_table(fields_of(cls))}")
     parts.append("## Records\n")

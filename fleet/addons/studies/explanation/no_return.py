@@ -209,7 +209,7 @@ class HealingSearch:
     def _task(self, ticks: tuple[int, ...]) -> Task:
         """Make the runs that are healed at some ticks."""
         tick_ns, seed = self._scenario.tick_ns, self._scenario.seed
-        each = tuple((tick, json.dumps(healed(self._tree, tick * tick_ns))) for tick in ticks)
+        each = tuple((tick, json.dumps(without_faults_after(self._tree, tick * tick_ns))) for tick in ticks)
         key = run_key(f"{self._text}\nhealed at {ticks} {self._check}")
         return Task(key, 0, seed, self._scenario.name, self._text, inf, self._modules, healed=each)
 
@@ -252,7 +252,7 @@ class HealingSearch:
         return NoReturn(how, words, passes.at_s, fails.at_s, tried)
 
 
-def healed(tree: Tree, at_ns: int) -> Tree:
+def without_faults_after(tree: Tree, at_ns: int) -> Tree:
     """A scenario that heals all faults at a time: active faults end, and later ones never begin."""
     faults: list[dict[str, Any]] = []
     gone: set[str] = set()

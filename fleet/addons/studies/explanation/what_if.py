@@ -30,7 +30,7 @@ from fleet.logs.schemas import BELIEF, COMMAND, PACKET, ROLL, STATE, MessageFiel
 from fleet.logs.topic_names import link_of
 from fleet.mcap.reader import LogReader, OnProgress, Record, log_path
 from fleet.recorder.start import set_up_otherwise
-from fleet.repeat.recorded_run import recorded as read
+from fleet.repeat.recorded_run import read_recorded_run as read
 from fleet.repeat.verify import start_of
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.text.overrides import Override

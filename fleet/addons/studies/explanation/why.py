@@ -31,7 +31,7 @@ from fleet.execution.directory import SCENARIO
 from fleet.logs.open_log import Log, open_log
 from fleet.logs.schemas import CLOCK, FROM
 from fleet.mcap.reader import digest
-from fleet.repeat.recorded_run import Recorded, recorded
+from fleet.repeat.recorded_run import Recorded, read_recorded_run
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
 from fleet.scenario.text.yaml_reader import Source, plain, read
@@ -91,7 +91,7 @@ class Explanation:
         """
         self._question, self._on_progress = question, on_progress
         self._notes: list[str] = []
-        source = recorded(question.path, lambda share: on_progress(f"reading the log, {100 * share:.0f} %", 0))
+        source = read_recorded_run(question.path, lambda share: on_progress(f"reading the log, {100 * share:.0f} %", 0))
         self.path = source.path
         self._why_not = _why_not(source, question)
         self.scenario = source.script(policy=Policy())
@@ -144,7 +144,7 @@ class Explanation:
         if not known:
             return [], []
         try:
-            origin = recorded(Path(path))
+            origin = read_recorded_run(Path(path))
             if digest(origin.path) != known:
                 raise FleetError("it is another log by now")
         except FleetError as error:

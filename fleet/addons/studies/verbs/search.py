@@ -183,10 +183,10 @@ def _failing_scenario(name: str, changes: Iterable[str | Override]) -> tuple[Sce
     path = Path(name)
     if name in shipped_scenarios() or path.suffix in (".yaml", ".yml"):
         return load_scenario(name, [*changes]), path.parent if path.exists() else None
-    from fleet.repeat.recorded_run import recorded
+    from fleet.repeat.recorded_run import read_recorded_run
     from fleet.scenario.trust import Policy
 
-    return recorded(path).script([*changes], Policy()), None
+    return read_recorded_run(path).script([*changes], Policy()), None
 
 
 NemesisMode = Literal["swarm", "episodes", "liveness"] | None

@@ -111,11 +111,11 @@ def sweep(
 def _as_file(name: str, directory: Path | None, asked: StudySpec) -> str:
     from fleet.addons.studies.plan import plan_of
     from fleet.addons.studies.study_file import study_yaml
-    from fleet.addons.studies.sweep import declared, load_points
+    from fleet.addons.studies.sweep import load_points, measure_columns
 
     if directory is None:
         study = _asked_for(name, asked)
-        declared(study.spec, load_points(plan_of(*study), refused=[]))  # laws that may not run are no mistake
+        measure_columns(study.spec, load_points(plan_of(*study), refused=[]))  # laws that may not run are no mistake
         return study_yaml(study.spec)
     return study_yaml(_opened(directory, asked)[1])
 
@@ -127,14 +127,14 @@ def _opened(directory: Path, asked: StudySpec) -> tuple[Store, StudySpec]:
 
     store = Store.open(directory)
     refuse_border(store)
-    return store, store.record.rules.changed(**{"budget": "", **given_values(asked)})
+    return store, store.record.rules.with_options(**{"budget": "", **given_values(asked)})
 
 
 def _asked_for(name: str, asked: StudySpec) -> NamedStudy:
     from fleet.addons.studies.study_file import NamedStudy, study_named
 
     study = study_named(name) or NamedStudy(StudySpec(name))
-    spec = study.spec.changed(**given_values(asked))
+    spec = study.spec.with_options(**given_values(asked))
     if is_given("most_seeds") and not spec.until:
         raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
     return study._replace(spec=spec)

@@ -34,7 +34,9 @@ from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3
 
 
-def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[int, Offset], t: float) -> Motion:
+def motion_from_neighbours(
+    position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[int, Offset], t: float
+) -> Motion:
     """The desired motion of a vehicle that does not know the reference, computed from its neighbours' states.
 
     | symbol | meaning | unit | frame |
@@ -89,7 +91,7 @@ class ByNeighbours(ByReference):
         self._offsets = {neighbour.id: neighbour.offset for neighbour in config.neighbours}
 
     def place(self, position: Vec3, heard: tuple[NeighbourState, ...], t: float) -> Motion:
-        return followed(position, heard, self._offsets, t)
+        return motion_from_neighbours(position, heard, self._offsets, t)
 
 
 class OnStandby(ByReference):

@@ -65,7 +65,7 @@ def _command_line() -> int:
 
         status = cli(standalone_mode=False)
     except ImportError as error:
-        if text := damaged(error):
+        if text := damaged_package(error):
             return _cannot_run(text)
         if isinstance(error, ModuleNotFoundError):
             raise
@@ -119,7 +119,7 @@ def foreign() -> str:
     return ""
 
 
-def damaged(error: ImportError) -> str:
+def damaged_package(error: ImportError) -> str:
     """The same of an import that failed within one of the packages, compiled or not; "" if it was another import."""
     name = (error.name or "").partition(".")[0]
     if name.endswith("__mypyc"):

@@ -96,7 +96,7 @@ def option_from_annotation(name: str, annotation: Any, default: Any = NEEDED) ->
     Returns:
         All that the command line, the keywords and the keys of files follow from.
     """
-    shape, about = unwrapped(annotation)
+    shape, about = unwrap(annotation)
     return OptionField(
         name,
         get_origin(shape) or shape,
@@ -165,7 +165,7 @@ def default_of(kind: Any, name: str) -> Any:
     return NEEDED if made is NODEFAULT else made
 
 
-def unwrapped(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
+def unwrap(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
     """The type in an annotation.
 
     Args:

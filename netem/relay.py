@@ -114,12 +114,12 @@ class _Outbox(Transit):
 
     def lose(self, fate: Fate) -> None:
         part = self.now or self.named[fate.src, fate.seq]
-        self.final.append(carried(fate, part, max(fate.final_tick, self.reported)))
+        self.final.append(message_fate(fate, part, max(fate.final_tick, self.reported)))
         if self.spoiled is not None:
             self.spoiled.append(fate)
 
 
-def carried(fate: Fate, part: PacketPart, final_tick: int) -> MessageFate:
+def message_fate(fate: Fate, part: PacketPart, final_tick: int) -> MessageFate:
     """A fate with its message; `fate.payload` is the packet as it was sent, and is not kept."""
     return MessageFate(
         final_tick, fate.src, fate.dst, fate.seq, fate.copy, fate.sent_tick, fate.due_tick, fate.delay_ns,
@@ -280,7 +280,7 @@ class Relay:
         under_way = [(packet, part) for _, _, packet, part in heap] + self._out.all_held()
         under_way += [(due.packet, due.part) for due in self._leaving.values()]
         self._leaving = {}
-        rest = [carried(packet.fate(end_tick, Cause.IN_FLIGHT), part, end_tick) for packet, part in under_way]
+        rest = [message_fate(packet.fate(end_tick, Cause.IN_FLIGHT), part, end_tick) for packet, part in under_way]
         lost = [structs.replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self._out.final]
         self._out.heap, self._out.final = [], []
         return final + sorted([*rest, *lost], key=fate_order)
@@ -307,7 +307,7 @@ class Relay:
 
     def _end(self, packet: PendingPacket, part: PacketPart, at_ns: int, cause: Cause) -> None:
         tick = self._final_tick(packet, at_ns)
-        self._out.final.append(carried(packet._replace(due_tick=tick).fate(tick, cause), part, tick))
+        self._out.final.append(message_fate(packet._replace(due_tick=tick).fate(tick, cause), part, tick))
 
     def _faults(self, tick: int) -> ActiveFaults:
         if self._active[0] != tick or self._active[1] is not self.faults:

@@ -26,7 +26,7 @@ from agents.errors import PayloadError
 from agents.laws.kinematics import earth_velocity
 from agents.localization.mirror_image import MirrorImage, PlaceEstimate
 from agents.localization.payload import LocatedMessage, decode, is_located
-from agents.localization.range_fusion import Covariance, Fused, fused, grown
+from agents.localization.range_fusion import Covariance, Fused, fuse_range, grown
 from agents.payload import StateMessage
 from netem.wire.messages import Delivery, Nav
 from world.signal import Signal
@@ -200,7 +200,7 @@ class Localizer(Navigated):
             """Use the range from where the vehicle then was, if it is here now."""
             place = own.place[0] - back[0], own.place[1] - back[1]
             independent = method != "consistent"
-            return fused(place, own.covariance, other, message.covariance, deeper, ranged_m, variance, independent)
+            return fuse_range(place, own.covariance, other, message.covariance, deeper, ranged_m, variance, independent)
 
         if self.mirror is not None:
             self._compare(fuse, back)

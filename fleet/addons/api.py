@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from fleet.mcap.other import OtherData as OtherData
     from fleet.option import Option as Option
     from fleet.scenario.faults.kind import FaultKind as FaultKind
-    from fleet.scenario.faults.kind import FleetFault as FleetFault
-    from fleet.scenario.faults.kind import LinkFault as LinkFault
-    from fleet.scenario.faults.kind import VehicleFault as VehicleFault
+    from fleet.scenario.faults.kind import FleetFaultKind as FleetFaultKind
+    from fleet.scenario.faults.kind import LinkFaultKind as LinkFaultKind
+    from fleet.scenario.faults.kind import VehicleFaultKind as VehicleFaultKind
     from fleet.scenario.scenario import Scenario as Scenario
     from fleet.terminal.width import say as say
 
@@ -35,8 +35,8 @@ _PLACES = {
     "Exporter": "fleet.cli.exporter",
     "FaultKind": "fleet.scenario.faults.kind",
     "FleetError": "fleet.errors",
-    "FleetFault": "fleet.scenario.faults.kind",
-    "LinkFault": "fleet.scenario.faults.kind",
+    "FleetFaultKind": "fleet.scenario.faults.kind",
+    "LinkFaultKind": "fleet.scenario.faults.kind",
     "Listing": "fleet.cli.listing",
     "Log": "fleet.cli.log_argument",
     "Option": "fleet.option",
@@ -46,7 +46,7 @@ _PLACES = {
     "Scenario": "fleet.scenario.scenario",
     "Selection": "fleet.cli.exporter",
     "TIME": "fleet.cli.types",
-    "VehicleFault": "fleet.scenario.faults.kind",
+    "VehicleFaultKind": "fleet.scenario.faults.kind",
     "command": "fleet.cli.declare",
     "print_result": "fleet.cli.documents.output",
     "say": "fleet.terminal.width",

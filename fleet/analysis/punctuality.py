@@ -16,7 +16,7 @@ from netem.histogram import PER_DECADE
 ON_TIME, DEGRADED = "on time", "degraded"
 
 
-def measured(values: Mapping[str, Any], speed: float) -> Timing | None:
+def timing_of(values: Mapping[str, Any], speed: float) -> Timing | None:
     """The measurements of world and netem, with a label. `values`: what both answered when the run ended. `speed`:
     times real time that was asked. None: one of them did not answer.
     """

@@ -41,7 +41,7 @@ class OwnChecks:
         """Make them; see `from_scenario`."""
         checks = scenario.spec.checks
         self._scenario, self._tick_s, self._last = scenario, scenario.tick_ns / 1e9, scenario.ticks
-        self._places = {i: reported(scenario, i).places() for i in range(1, scenario.vehicles + 1)}
+        self._places = {i: logged_signals(scenario, i).places() for i in range(1, scenario.vehicles + 1)}
         self._messages = LastMessages(scenario.graph.links, scenario.tick_ns)
         self._signals: list[RunningSignalCheck] = []
         self._python: list[RunningPythonCheck] = []
@@ -169,7 +169,7 @@ def due_groups(scenario: Scenario, tick: int) -> frozenset[str]:
     return frozenset(group for group in GROUPS if group in every and (last or tick % every[group] == 0))
 
 
-def reported(scenario: Scenario, i: int) -> VehicleSignals:
+def logged_signals(scenario: Scenario, i: int) -> VehicleSignals:
     """The signals of vehicle i in a log; of laws and plants that may not run they are unknown here."""
     if scenario.nodes:
         return node_signals(scenario.spec, i)

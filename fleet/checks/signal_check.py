@@ -338,7 +338,7 @@ class _Liveness:
     def margin(self) -> Margin | None:
         asked = self._asked
         assert asked.within_ns is not None
-        if not in_time(asked):
+        if not is_timed(asked):
             return self._distance.found(counts=self._begin is None)
         if self.failure:
             return Margin(-self._late_ns / 1e9, "s", None)
@@ -376,7 +376,7 @@ def inside(condition: SignalCondition, value: float) -> float:
     return min(value - condition.low, condition.high - value)
 
 
-def in_time(asked: AskedOfSignal) -> bool:
+def is_timed(asked: AskedOfSignal) -> bool:
     condition = asked.condition
     timed = asked.within_ns is not None or asked.least_ns > 0
     return timed and (condition.over == "true" or condition.low == condition.high)
@@ -425,7 +425,7 @@ class AlwaysMargin:
     def found(self, longest: float | None, at: int | None) -> Margin | None:
         """The margin so far, of the longest stretch of bad samples [ticks], which began at tick `at`."""
         asked = self._asked
-        if in_time(asked):
+        if is_timed(asked):
             took = (longest or 0) * self._tick_s
             return Margin(asked.least_ns / 1e9 - took, "s", None if at is None else at * self._tick_s)
         if self._least is None or abs(self._least[0]) == inf:

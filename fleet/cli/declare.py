@@ -13,7 +13,8 @@ A parameter with `FromAddOns` takes what add-ons bring to a command (`Extension`
 
     companions: Annotated[tuple[Companion, ...], FromAddOns("companions")]
 
-A class of fields may name a module, `READER`, that reads their texts: `read(field, value)` and `by_key(field, texts)`.
+A class of fields may name a module, `READER`, that reads their texts: `read(field, value)` and `texts_by_key(field,
+texts)`.
 
 Parameters are read as typer does it, and fields of dataclasses and structs as tyro does it. These libraries were
 rejected: they import for longer than `fleet --help` takes (CPU, import and `--help` of one command: click 36 and 50 ms,
@@ -37,7 +38,7 @@ from fleet.addon import leave_out, sound_parts
 from fleet.cli.documents.output import JSON
 from fleet.cli.types import PACE, PATH, SECONDS, SHARE, SPEED, TIME, Effect, Fallback, Whole, is_given
 from fleet.errors import FleetError
-from fleet.option import NEEDED, Kind, OptionField, fields, holds_fields, option_from_annotation, unwrapped
+from fleet.option import NEEDED, Kind, OptionField, fields, holds_fields, option_from_annotation, unwrap
 
 if TYPE_CHECKING:
     import msgspec
@@ -194,7 +195,7 @@ def _words(field: OptionField) -> set[str]:
 
 
 def _from_add_ons(parameter: Parameter) -> FromAddOns | None:
-    return next((each for each in unwrapped(parameter.annotation)[1] if isinstance(each, FromAddOns)), None)
+    return next((each for each in unwrap(parameter.annotation)[1] if isinstance(each, FromAddOns)), None)
 
 
 def _parameters_of(kind: type[Extension]) -> list[click.Option]:
@@ -338,7 +339,7 @@ class _Checked(click.ParamType[str]):
 def _built(field: OptionField, value: Any) -> Any:
     """A value as the field holds it. Raises FleetError: the reader of its field does not take a text."""
     if field.shape is dict:
-        return import_module(field.reader).by_key(field, value)
+        return import_module(field.reader).texts_by_key(field, value)
     return list(value) if field.shape is list else value
 
 

@@ -17,10 +17,10 @@ from typing import Any
 
 import click
 
-from fleet.addon import Verb, installed, load
+from fleet.addon import Verb, installed_addons, load
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.verbs import every_verb, headings, hint_for, other_option, verb_of
-from fleet.errors import FleetError, harmless, in_words
+from fleet.errors import FleetError, describe_error, harmless
 from fleet.terminal.output import OutputError
 from fleet.terminal.width import say
 from netem.errors import NetemError
@@ -130,7 +130,7 @@ class FleetGroup(click.Group):
             raise  # they have meanings of their own
         except Exception as error:
             traceback.print_exc()
-            words = f"{in_words(error)}: {_whose(ctx.invoked_subcommand or '')}"
+            words = f"{describe_error(error)}: {_whose(ctx.invoked_subcommand or '')}"
             say(f"fleet: {words}", err=True)
             _document(error, words, BROKEN)
             ctx.exit(BROKEN)  # Python's own 1 would say that a check failed
@@ -152,7 +152,7 @@ def _meant(error: click.ClickException) -> str:
         return ""
     if isinstance(error, click.NoSuchOption):
         other = other_option(context.info_name or "", error.option_name)
-        if other or installed().left_out:
+        if other or installed_addons().left_out:
             error.possibilities = []  # type: ignore[misc]
         return f" {other}" if other else _left_out()
     change = _CHANGE.search(error.message)
@@ -170,7 +170,7 @@ def _loaded(name: str, verb: Verb) -> click.Command:
     try:
         found = load(verb.command)
     except (Exception, SystemExit) as error:
-        raise FleetError(f"fleet {name} cannot be loaded: {verb.command}: {in_words(error)}") from error
+        raise FleetError(f"fleet {name} cannot be loaded: {verb.command}: {describe_error(error)}") from error
     if not isinstance(found, click.Command):
         raise FleetError(f"the add-on that brings fleet {name} gives {found!r:.80} in place of a click command")
     return found
@@ -178,7 +178,7 @@ def _loaded(name: str, verb: Verb) -> click.Command:
 
 def _left_out() -> str:
     """The add-ons that this environment has and that cannot be used, with the reason of the first."""
-    found = installed()
+    found = installed_addons()
     if found.left_out:
         return f"\nadd-ons that are left out: {', '.join(found.left_out)} ({next(iter(found.left_out.values()))})"
     hint = "\nno add-on is registered in this environment; in a checkout `pip install -e .` registers ours"

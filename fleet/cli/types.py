@@ -46,9 +46,9 @@ def _trust(context: click.Context) -> None:
 
 
 def _hush(context: click.Context) -> None:
-    from fleet.terminal.status_line import hushed
+    from fleet.terminal.status_line import hush_progress
 
-    context.with_resource(hushed())
+    context.with_resource(hush_progress())
 
 
 Trust = Annotated[

@@ -214,7 +214,7 @@ def _judge(run: _Run) -> None:
             result.punctual = convert(timing, Punctual)
             more.append(punctuality.punctual(result.punctual, run.scenario.spec.checks.punctual))
     elif run.options.clock is Clock.REAL:
-        result.timing = punctuality.measured(timing, run.options.speed or 1.0)
+        result.timing = punctuality.timing_of(timing, run.options.speed or 1.0)
     if result.timing is not None:
         more.append(punctuality.verdict(result.timing, run.options.max_missed))
     judge_run(run.scenario, run.journal, result, lost=run.runner.middleware_lost, more=more)

@@ -45,12 +45,12 @@ def refuse(scenario: Scenario, what: str, *, stacks: bool = False) -> None:
         return
     if scenario.external:
         raise FleetError(
-            f"{named(scenario.external)}: {what} cannot have agents that are started elsewhere; "
+            f"{describe_external(scenario.external)}: {what} cannot have agents that are started elsewhere; "
             "set external: false there to run ours"
         )
 
 
-def on_wall_clock(scenario: Scenario) -> bool:
+def uses_wall_clock(scenario: Scenario) -> bool:
     """Whether programs outside of simulated time take part, which the run starts: no two runs of it are the same."""
     return bool(scenario.nodes) or has_gateways(scenario)
 
@@ -61,7 +61,7 @@ def has_gateways(scenario: Scenario) -> bool:
     return bool(external) and all(its.gateway is not None for its in external)
 
 
-def named(vehicles: Sequence[int]) -> str:
+def describe_external(vehicles: Sequence[int]) -> str:
     if len(vehicles) == 1:
         return f"vehicle {vehicles[0]} is external"
     return f"vehicles {', '.join(map(str, vehicles[:-1]))} and {vehicles[-1]} are external"

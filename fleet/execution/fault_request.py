@@ -27,7 +27,7 @@ class RefusedError(FleetError):
         self.status = status
 
 
-def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
+def check_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick. Raises RefusedError
     if it is none, or none for this scenario; the text says what is wrong.
     """

@@ -29,7 +29,7 @@ from fleet.recorder.start import set_up_otherwise
 from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
-from netem.draws import salted
+from netem.draws import salted_seed
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import NetFault
 from netem.lives import Absence
@@ -88,7 +88,7 @@ class InProcess:
         self._other_agents = agents or {}
         self._kept: KeptFiles = KeptFiles() if before is None else before._kept
         self.scenario, self.journal, self._before = scenario, journal, before
-        seed = salted(scenario.seed, salt)
+        seed = salted_seed(scenario.seed, salt)
         self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
         self.rounds = Rounds(replace(scenario.netem_config, seed=seed))
         self._loops: dict[int, AgentLife] = {}
@@ -334,7 +334,7 @@ class InProcess:
         self.notes.append(note_text(tick, self.scenario.tick_ns, who, text))
 
 
-def in_process(
+def start_in_process(
     scenario: Scenario,
     log: JournalSink,
     before: InProcess | None = None,

@@ -14,7 +14,7 @@ from msgspec.structs import asdict
 
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M, Series
-from fleet.recorder.settling import below_from, least_s, stayed
+from fleet.recorder.settling import first_settled, is_long_enough, least_s
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.vehicle_events import vehicle_events
 
@@ -94,8 +94,8 @@ def _settled(scenario: Scenario, journal: Journal, series: Series) -> bool:
     times = journal.metrics.times
     least = least_s(scenario.disturbance, times[-1] - times[0])
     begin = max(0, bisect_left(times, times[-1] - least) - 1)  # only so much is looked at, however long the run is
-    first = below_from(series.e, SETTLE_M, begin, len(times))
-    return first < len(times) and stayed(times, first, len(times), least)
+    first = first_settled(series.e, SETTLE_M, begin, len(times))
+    return first < len(times) and is_long_enough(times, first, len(times), least)
 
 
 def _oldest(scenario: Scenario, journal: Journal) -> Mapping[int, tuple[int, int]]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from agents.errors import AgentError
 from fleet.errors import FleetError, RunBroken
-from fleet.execution.in_process import InProcess, in_process
+from fleet.execution.in_process import InProcess, start_in_process
 from fleet.quantities import show_time
 from fleet.recorder.journal import JournalSink
 from fleet.recorder.metrics import VehicleError
@@ -64,7 +64,7 @@ def _gone(leg: Leg, before: Prefix | None, start: Start | None, on_progress: Cal
     if start is not None and start.recorded is not None:
         log = writer = LogWriter(start.recorded(), scenario, start.before, links=links)
         links = writer.links
-    run = in_process(scenario, log, None if before is None else before.run, salt=leg.salt, judged=False)
+    run = start_in_process(scenario, log, None if before is None else before.run, salt=leg.salt, judged=False)
     try:
         run.begin()
         while run.granted < leg.until:

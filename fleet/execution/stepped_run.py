@@ -20,7 +20,7 @@ from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.external_agents import refuse
 from fleet.execution.fault_request import RefusedError
-from fleet.execution.in_process import MakeLife, in_process
+from fleet.execution.in_process import MakeLife, start_in_process
 from fleet.execution.operator import Operator
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.triggered import resolve_triggers
@@ -110,7 +110,7 @@ class Run:
             FleetError: somebody else is to start an agent.
             TypeError: an argument is unknown; keys of the scenario go into `set`.
         """
-        found = loaded(Run, scenario, set, net, fault, seed, trust, unknown)
+        found = load_for(Run, scenario, set, net, fault, seed, trust, unknown)
         refuse(found, "a run in one process")
         self._prepare(found, None if log is None else LogFile(Path(log)), None, None)
 
@@ -159,7 +159,7 @@ class Run:
         self._file = log or NoLog()
         writer = self._file if isinstance(self._file, NoDigest) else LogWriter(self._file, scenario)
         recorded = writer if watcher is None else WatchedLog(writer, watcher)
-        self._runner = in_process(scenario, recorded, agents=agents)
+        self._runner = start_in_process(scenario, recorded, agents=agents)
         self._journal = self._runner.journal
         self._policy = GrantPolicy.of(scenario)
         self._operator = Operator(scenario, self._journal, LiveClock(self._policy, 0.0), self._runner)
@@ -407,7 +407,7 @@ def _ticks(by: int | str, tick_ns: int) -> int:
     return ns // tick_ns
 
 
-def loaded(
+def load_for(
     function: Callable[..., Any],
     scenario: str | Path | Scenario,
     set: Changes,

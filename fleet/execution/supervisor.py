@@ -28,7 +28,7 @@ from fleet.processes.children import (
     Children,
     Exit,
     describe_exit,
-    ended,
+    has_ended,
 )
 from fleet.recorder.journal import Journal
 from fleet.scenario.faults.kind import Kill
@@ -126,7 +126,7 @@ class Supervisor:
             with contextlib.suppress(MalformedMessage):
                 world = self._children.by_role.get(WORLD)
                 joined = [[i, self._incarnation[i], 0] for i in self.external.vehicles if self.external.present(i)]
-                if joined and self._session is not None and world is not None and not ended(world.pid):
+                if joined and self._session is not None and world is not None and not has_ended(world.pid):
                     self._session.ask(WORLD, "dismiss", agents=joined, reason=RUN_OVER)
         finally:
             self._children.stop()

@@ -24,7 +24,7 @@ from fleet.errors import FleetError
 from fleet.logs.columns import objects
 from fleet.logs.dataset import EXTRA, dataset, frame_attributes
 from fleet.logs.open_log import Log
-from fleet.logs.table import TableColumn, columns, fits, need
+from fleet.logs.table import TableColumn, columns, fits, require
 from fleet.logs.topic import Topic
 from fleet.mcap.reader import LogReader, OnProgress
 from fleet.mcap.records import Array, Block
@@ -46,7 +46,7 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: OnP
     they are.
     """
     suffix, sheet_of, name, packages, extra = _FORMS[form]
-    need(name, packages, extra)
+    require(name, packages, extra)
     topics = [name for name in log if fits(log[name])]
     left_out = [name for name in log if len(log[name]) and name not in topics]
     paths = {name: folder / f"{plain}.{suffix}" for name, plain in file_names(topics).items()}

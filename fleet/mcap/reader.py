@@ -217,7 +217,7 @@ def _size(entries: Mapping[str, str]) -> int:
 def missing(salvage: Salvage) -> str:
     """A text that says what is missing in a file; "" if it is complete. The iteration of `salvage` must be over."""
     if salvage.damage:
-        return f"{salvage.damage[0]}; reading stopped before it" if not salvage.beyond else lost(salvage)
+        return f"{salvage.damage[0]}; reading stopped before it" if not salvage.beyond else describe_loss(salvage)
     if salvage.cut:
         return "the file is cut: the run was killed while it was written, or it is still going on"
     if salvage.stated is not None and salvage.indexed and salvage.stated != salvage.messages:
@@ -225,7 +225,7 @@ def missing(salvage: Salvage) -> str:
     return "" if salvage.indexed else "the index is missing or damaged"
 
 
-def lost(salvage: Salvage) -> str:
+def describe_loss(salvage: Salvage) -> str:
     """A text that says what is lost in a file that was read beyond its damage; "" if no message is lost."""
     places = [str(damage) for damage in salvage.damage]
     if salvage.cut or not salvage.ended:

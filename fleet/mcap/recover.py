@@ -15,7 +15,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
 from fleet.mcap.other import Recovered
-from fleet.mcap.reader import GAPS, LOST, RECOVERY, OnProgress, log_files, log_path, lost, open_any
+from fleet.mcap.reader import GAPS, LOST, RECOVERY, OnProgress, describe_loss, log_files, log_path, open_any
 from fleet.mcap.records import LIBRARY, MAGIC, Block, Message
 from fleet.mcap.salvage import ChunkEnd, Item, Salvage
 from fleet.mcap.writer import McapWriter
@@ -67,7 +67,7 @@ def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: boo
                     copy.take(declaration)
             copy.message(message)
     found.places = [str(damage) for damage in salvage.damage]
-    gone = [*(["the first bytes (they are not those of MCAP)"] if not magic else []), lost(salvage)]
+    gone = [*(["the first bytes (they are not those of MCAP)"] if not magic else []), describe_loss(salvage)]
     if found.undeclared:
         gone.append(f"{found.undeclared} messages on channels whose declaration is gone")
     found.lost = "; ".join(part for part in gone if part)

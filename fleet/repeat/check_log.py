@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct, field
 
-from fleet.checks.own_checks import OwnChecks, due_groups, reported
+from fleet.checks.own_checks import OwnChecks, due_groups, logged_signals
 from fleet.checks.values import LoggedValues, Values
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
@@ -119,7 +119,7 @@ class _Feed:
         self._samples = {
             f"uuv/{i}/{group}": (i, group, signals)
             for i in range(1, scenario.vehicles + 1)
-            for group, signals in reported(scenario, i).groups().items()
+            for group, signals in logged_signals(scenario, i).groups().items()
             if group in checks.groups
         }
         self._columns = {FAULTS: FAULT, **dict.fromkeys(self._links, PACKET)} | {

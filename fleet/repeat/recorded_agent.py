@@ -21,7 +21,7 @@ from agents.loop import AgentLoop
 from agents.sample import Decision
 from agents.signals import SignalLayout
 from fleet.errors import FleetError
-from fleet.logs.decoder import Decoder, decoded
+from fleet.logs.decoder import Decoder, decode_message
 from fleet.logs.schemas import (
     COMMAND,
     PACKET,
@@ -130,7 +130,7 @@ class _Reading:
             self._sample(int(number), group, tick, record.data)
         elif (agent := self._talking.get(record.topic)) is not None:
             # Commands are recorded at every tick, so there are frames at every tick: the line came with that command.
-            line = decoded(Log, record.data)
+            line = decode_message(Log, record.data)
             agent.said.setdefault(tick, []).append(Said(record.publish_ns, line.file, line.message))
         elif (
             (link := link_of(record.topic)) is not None

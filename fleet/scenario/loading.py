@@ -16,7 +16,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text import scenario_yaml
 from fleet.scenario.text.nodes import nodes_to_vehicles, with_moored_defaults
 from fleet.scenario.text.overrides import Override, apply
-from fleet.scenario.text.simulated_nodes import SIMULATED, command_folders, simulated
+from fleet.scenario.text.simulated_nodes import SIMULATED, command_folders, simulated_values
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
 from fleet.scenario.text.yaml_writer import yaml_text
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
@@ -91,7 +91,7 @@ def parse_scenario(
 
 def _simulated(spec: ScenarioSpec, source_name: str, folder: Path | None, policy: Policy) -> Parts:
     """The parts of a file of nodes in simulated time. Raises ScenarioError: a program of it cannot run there."""
-    made = yaml_text(simulated(spec, folder or Path()))
+    made = yaml_text(simulated_values(spec, folder or Path()))
     root, problems = read(Source(f"{source_name} in simulated time", made))
     assert isinstance(root, Mapping)
     if not policy.stranger:

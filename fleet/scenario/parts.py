@@ -173,7 +173,7 @@ class Parts:
     def choice(self, entries: Entries) -> VehicleOverrides:
         """Every section that may be per vehicle, as it holds for the vehicles that these entries name."""
         if entries not in self._choices:
-            self._choices[entries] = per_vehicle.merged(self.spec, entries)
+            self._choices[entries] = per_vehicle.merge_overrides(self.spec, entries)
         return self._choices[entries]
 
     def choices(self) -> Iterator[tuple[Entries, VehicleOverrides]]:

@@ -32,7 +32,7 @@ from fleet.scenario.rules import (
     periods,
     programs,
 )
-from fleet.scenario.rules.report import Report, dotted
+from fleet.scenario.rules.report import Report, dotted_path
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections.node_names import with_node_names
@@ -280,10 +280,10 @@ def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
     loc = error["loc"]
     path = _in_file(root, loc)
     context, value = error.get("ctx", {}), error["input"]
-    name = dotted(path)
+    name = dotted_path(path)
     match error["type"]:
         case "missing":
-            section = dotted(path[:-1])
+            section = dotted_path(path[:-1])
             where = f' in "{section}"' if section else ""
             hint = f"for example {name}: {EXAMPLES[name]}" if name in EXAMPLES else ""
             return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}', hint, name)
@@ -294,7 +294,7 @@ def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
         case "mistake":
             if path[-1] == "[key]":
                 path = path[:-1]
-                place, name = locate(root, path, key=True).shifted(context["column"]), dotted(path[:-1])
+                place, name = locate(root, path, key=True).shifted(context["column"]), dotted_path(path[:-1])
             else:
                 place = text_place(root, path, context["column"])
             return place.problem(f"{_short(name)}: {context['message']}", context["hint"], name)

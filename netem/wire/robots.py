@@ -25,7 +25,17 @@ from netem.limits import TOKENS
 from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.queries import Ticket
 from netem.wire.robot_queues import Inlet, Outlet
-from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, client_settings, listening, opened, reason
+from netem.wire.session import (
+    BASE,
+    OTHERS,
+    PENDING,
+    PENDING_MS,
+    UNIVERSAL,
+    client_settings,
+    listening,
+    reason,
+    session_of,
+)
 
 log = logging.getLogger(__name__)
 
@@ -444,6 +454,6 @@ def _opened(access: RobotEndpoint) -> zenoh.Session:
     try:
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
-        return opened(config)
+        return session_of(config)
     except zenoh.ZError as error:
         raise BusError(f"{problem} ({reason(error)})") from None

@@ -22,7 +22,7 @@ from agents.errors import PayloadError
 from agents.localization import payload
 from agents.localization.localizer import Localizer
 from agents.localization.mirror_image import MirrorImage, PlaceEstimate
-from agents.localization.range_fusion import fused, grown
+from agents.localization.range_fusion import fuse_range, grown
 from agents.payload import StateMessage
 from netem.wire.messages import Delivery, Nav
 
@@ -69,13 +69,15 @@ def test_a_range_makes_no_estimate_worse_and_intersection_is_less_sure(
 ) -> None:
     where = (200.0 * cos(a), 200.0 * sin(a))
     given_ = ((0.0, 0.0), (own, 0.0, own), where, (other, 0.0, other), 0.0, 200.0 + 0.01 * error, 0.25)
-    alone = fused(*given_, independent=True)
+    alone = fuse_range(*given_, independent=True)
     assert alone is not None
     assert alone.covariance[0] + alone.covariance[2] < 2 * own
-    across = fused(*given_, independent=False)
+    across = fuse_range(*given_, independent=False)
     if across is not None:
         assert alone.covariance[0] + alone.covariance[2] < across.covariance[0] + across.covariance[2] < 2 * own
-    assert fused((0.0, 0.0), (own, 0.0, own), (0.0, 0.05), (1.0, 0.0, 1.0), 0.0, 1.0, 0.25, independent=True) is None
+    assert (
+        fuse_range((0.0, 0.0), (own, 0.0, own), (0.0, 0.05), (1.0, 0.0, 1.0), 0.0, 1.0, 0.25, independent=True) is None
+    )
 
 
 def test_a_covariance_grows_in_the_directions_in_which_the_other_grew() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.localization.mirror_image import MirrorImage, PlaceEstimate, distance
-from agents.localization.range_fusion import Covariance, Fused, fused
+from agents.localization.range_fusion import Covariance, Fused, fuse_range
 
 TRUE, NAVIGATOR = (3.0, 25.0), PlaceEstimate((0.0, -22.0), (625.0, 0.0, 625.0))
 SURE: Covariance = (0.25, 0.0, 0.25)
@@ -19,7 +19,7 @@ SURE: Covariance = (0.25, 0.0, 0.25)
 def with_range(own: PlaceEstimate, sender: tuple[float, float]) -> Fused:
     """The exact range from a sender to the true place."""
     range_m = hypot(TRUE[0] - sender[0], TRUE[1] - sender[1])
-    found = fused(own.place, own.covariance, sender, (0.01, 0.0, 0.01), 0.0, range_m, 0.25, True)
+    found = fuse_range(own.place, own.covariance, sender, (0.01, 0.0, 0.01), 0.0, range_m, 0.25, True)
     assert found is not None
     return found
 

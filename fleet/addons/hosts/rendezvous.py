@@ -184,7 +184,7 @@ def check_free(listen: str, option: str = "--listen") -> None:
         ) from None
 
 
-def through_router(
+def join_router(
     router: str,
     credentials: Path,
     vehicles: int,

@@ -30,7 +30,7 @@ def name_of(i: int) -> str:
     return f"uuv_{i}"
 
 
-def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
+def observation_space(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
     config = scenario.agent_config(i)
     each: dict[str, spaces.Space[Any]] = {"message": _box(choices.numbers or STATE), "age": _box(1, -1.0)}
     if scenario.acoustic is not None:
@@ -48,7 +48,7 @@ def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
     return spaces.Dict(found)
 
 
-def decided(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
+def action_space(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
     config = scenario.agent_config(i)
     if choices.move == "velocity":
         low, high = config.guidance.rho_lo, config.guidance.rho_hi
@@ -149,8 +149,8 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         self.agents: list[str] = []
         self._vehicles = dict(zip(self.possible_agents, vehicles, strict=True))
         self._choices, self._every, self._reward = choices, every, reward
-        self._observed = {who: observed(scenario, i, choices) for who, i in self._vehicles.items()}
-        self._decided = {who: decided(scenario, i, choices) for who, i in self._vehicles.items()}
+        self._observed = {who: observation_space(scenario, i, choices) for who, i in self._vehicles.items()}
+        self._decided = {who: action_space(scenario, i, choices) for who, i in self._vehicles.items()}
         self._seeds: np.random.Generator | None = None  # of episodes that are asked for without a seed
         self._seats: dict[str, Seat] = {}
         self._margin = 0.0

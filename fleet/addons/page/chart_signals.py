@@ -13,7 +13,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
-from fleet.logs.decoder import UNITS, decoded, known_class, units_of
+from fleet.logs.decoder import UNITS, decode_message, known_class, units_of
 from fleet.replay.topics import PublishedTopic
 from fleet.scenario.sections.signals import SignalName, component, parse_name
 from netem.parsing import nearest
@@ -133,7 +133,7 @@ class Signals:
         if not (some := self.followed.get(topic)):
             return
         try:
-            message = decoded(self._classes[topic], data)
+            message = decode_message(self._classes[topic], data)
         except DecodeError:
             return
         for signal in some:

@@ -15,7 +15,7 @@ from fleet.addons.page.feed import FAULTS, MOST_CHARTED, TRANSFORMS, checks_aske
 from fleet.addons.page.source import LiveSource
 from fleet.addons.page.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
 from fleet.execution.connection import OpenConnection, RemoteError, find, is_live
-from fleet.execution.directory import SCENARIO, in_use
+from fleet.execution.directory import SCENARIO, is_in_use
 from fleet.logs.topic_names import BELIEFS, link_of
 from fleet.replay.live_journal import LiveJournal, Missing, left_out
 from fleet.replay.player import MeasuredRate
@@ -112,7 +112,7 @@ class LiveFeed:
         if self._over:
             return
         self._published = self._journal.bus.connected
-        if self._run is None and self.source.awaited and in_use(self.source.directory):
+        if self._run is None and self.source.awaited and is_in_use(self.source.directory):
             with suppress(RemoteError):
                 self._run = find(str(self.source.directory))
             if self._run is None:
@@ -137,7 +137,7 @@ class LiveFeed:
             if is_live(self._run):
                 self._status = self._status | {"waiting": str(error)}
             else:
-                whole = in_use(self.source.directory) or (self.source.directory / RESULT).exists()
+                whole = is_in_use(self.source.directory) or (self.source.directory / RESULT).exists()
                 self._over = "the run is over" if whole else "the run broke: its console is gone"
 
     def ask(self, op: str, **fields: Any) -> Row:

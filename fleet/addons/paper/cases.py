@@ -91,7 +91,7 @@ def vehicle_measures(recording: Recording) -> list[dict[str, Any]]:
                 "rho_min_mps": [-_largest(-x) for x in rho.T],
                 "rho_max_mps": [_largest(x) for x in rho.T],
                 "theta_max_deg": float(np.degrees(np.abs(theta).max())),
-                "tumbled_s": tumbled(t, theta),
+                "tumbled_s": tumble_time(t, theta),
                 "u_min_mps": float(recording["nu"][:, i, 0].min()),
                 "K_span": _span(K),
                 "K_late_mean": _mean(K[late]),
@@ -110,7 +110,7 @@ def late_s(recording: Recording) -> float:
     return period * max(1, int(recording.t[-1] / 2 / period))
 
 
-def tumbled(t: Array, theta: Array) -> float | None:
+def tumble_time(t: Array, theta: Array) -> float | None:
     """When a vehicle first stood beyond 80 deg of pitch [s]; None if it never did."""
     beyond = np.flatnonzero(np.abs(theta) > LIMIT_RAD)
     return float(t[beyond[0]]) if len(beyond) else None

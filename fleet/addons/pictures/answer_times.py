@@ -61,13 +61,13 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
     return figure
 
 
-def on_wall_clock(run: Run) -> bool:
+def has_wall_clock(run: Run) -> bool:
     """Whether anything could be late in it."""
     return run.log.run.get(CLOCK) == Clock.REAL
 
 
 def _timing(run: Run) -> Timing:
-    if not on_wall_clock(run):
+    if not has_wall_clock(run):
         raise NothingToDraw("the run was in lockstep, where nothing can be late; see fleet run --clock real")
     try:
         timing = read_result(run.log.path.parent).timing

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from fleet.addons.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time
+from fleet.addons.pictures.axes import MOST_NAMED, Get, draw_lines, finish, time_axes
 from fleet.addons.pictures.found_signal import FoundSignal, find_signal, plain_name, topic_of
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES, draw_limits
@@ -64,7 +64,7 @@ def pictures_of_checks(runs: Sequence[Run]) -> list[str]:
     return [*errors, *(["ages"] if age_limits(runs) else [])]
 
 
-def need(runs: Sequence[Run], name: SignalName) -> None:
+def require_signal(runs: Sequence[Run], name: SignalName) -> None:
     """Raises FleetError: no log has this signal, or this vehicle."""
     if name.vehicle is not None:
         check_view(runs, View((name.vehicle,)))
@@ -107,7 +107,7 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
         raise NothingToDraw(f"no vehicle reports {name.name}")
     components, notes = _components(runs, view, name, found)
     getters = [_getter(name, found, k) for k in components]
-    figure, axes = over_time(len(components), runs, view, 2.6 if len(components) == 1 else None)
+    figure, axes = time_axes(len(components), runs, view, 2.6 if len(components) == 1 else None)
     each = (get(run, i) for get in getters for run in runs for i in run.vehicles(view))
     samples = [series[1] for series in each if series is not None]
     whole = _whole(samples)

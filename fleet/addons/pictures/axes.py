@@ -175,7 +175,7 @@ def reach(lines: Iterable[Series], log: bool = False) -> float:
     return float(max(values.max() for values in some) - min(values.min() for values in some)) if some else 0.0
 
 
-def enveloped(
+def split_envelope(
     t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
 ) -> tuple[Series, Envelope | None]:
     """The line of a signal over time [s] (ascending; NaN in gaps), which is the mean where it oscillates too fast, and
@@ -230,7 +230,7 @@ _RUN = 18  # characters of a run behind a fault
 Get = Callable[[Run, int], tuple[Array, Array] | None]
 
 
-def over_time(
+def time_axes(
     rows: int, runs: Sequence[Run], view: View, height: float | None = None, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
     """Axes above each other that share the time axis, at column width."""
@@ -362,7 +362,7 @@ def entries_of_runs(runs: Sequence[Run], colours: Mapping[int, str]) -> list[Art
 def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, style: dict[str, Any]) -> bool:
     """Draw the line of a vehicle, or its envelope if it oscillates too fast. Returns whether it is the envelope."""
     first, last = ax.get_xlim()
-    (t, values), around = enveloped(*series, (first, last), whole, log)
+    (t, values), around = split_envelope(*series, (first, last), whole, log)
     if around is not None:
         ax.fill_between(
             around.t,
@@ -380,10 +380,10 @@ def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, styl
 
 def _series(run: Run, view: View, get: Get) -> dict[int, Series]:
     found = {i: get(run, i) for i in run.vehicles(view)}
-    return {i: within(*one, view.window) for i, one in found.items() if one is not None}
+    return {i: clip_to_window(*one, view.window) for i, one in found.items() if one is not None}
 
 
-def within(t: Array, values: Array, window: tuple[float, float] | None) -> Series:
+def clip_to_window(t: Array, values: Array, window: tuple[float, float] | None) -> Series:
     """The samples in a window, and one before and one behind it, so that a line reaches the edges."""
     if window is None:
         return t, values

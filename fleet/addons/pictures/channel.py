@@ -16,7 +16,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from fleet.addons.pictures.axes import finish, marks_legend, over_time
+from fleet.addons.pictures.axes import finish, marks_legend, time_axes
 from fleet.addons.pictures.exchange import FATES, links_between, name_rows, rank
 from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
@@ -157,7 +157,7 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
         raise NothingToDraw(f"no modem has transmitted from {first:g} to {last:g} s")
     every = sorted(view.vehicles or _modems(run))
     modems = every[:_MOST_MODEMS]
-    figure, (ax,) = over_time(1, runs, view, float(np.clip(0.3 * len(modems), 1.0, 6.5)) + 1.2)
+    figure, (ax,) = time_axes(1, runs, view, float(np.clip(0.3 * len(modems), 1.0, 6.5)) + 1.2)
     bars = [bar for row, i in enumerate(modems) for bar in _row(row, i, shown)]
     handles = []
     for kind in sorted({bar.kind for bar in bars}, key=lambda kind: (kind != SENDS, kind == OVERHEARD, rank(kind))):

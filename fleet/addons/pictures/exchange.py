@@ -12,7 +12,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.addons.pictures.axes import finish, legend_of, marks_legend, over_time
+from fleet.addons.pictures.axes import finish, legend_of, marks_legend, time_axes
 from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import NothingToDraw, Run, View
 from fleet.addons.pictures.style import THIN, plain_decades
@@ -98,7 +98,7 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
     shown_ones, every = _about_the_worst(packets, view.window), len({i for link in links for i in link})
     packets = {link: found for link, found in packets.items() if shown_ones.issuperset(link)}
     vehicles = sorted(shown_ones)
-    figure, (ax,) = over_time(1, runs, view, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
+    figure, (ax,) = time_axes(1, runs, view, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
     place = {i: k for k, i in enumerate(vehicles)}
     for i in vehicles:
         _life(ax, run, i, place[i])
@@ -265,7 +265,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     picture has the largest age, and of the median link the mean."""
     tables = [(run, links_between(run, view)) for run in runs]
     heights = [1.3, *(float(np.clip(_ROW_IN * len(links), 0.5, 4.0)) for _, links in tables)]
-    figure, axes = over_time(1 + len(runs), runs, view, sum(heights) + 1.2 + 0.2 * len(runs), heights)
+    figure, axes = time_axes(1 + len(runs), runs, view, sum(heights) + 1.2 + 0.2 * len(runs), heights)
     first, last = axes[0].get_xlim()
     edges = np.linspace(first, last, _bins(tables, last - first) + 1)
     peaks = [np.array([peak_ages(run, link, edges) for link in links]) for run, links in tables]

@@ -10,8 +10,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from fleet.addons.pictures import any_signal, channel, exchange, track
-from fleet.addons.pictures.answer_times import on_wall_clock, punctuality
-from fleet.addons.pictures.labels import named
+from fleet.addons.pictures.answer_times import has_wall_clock, punctuality
+from fleet.addons.pictures.labels import given_labels
 from fleet.addons.pictures.look import looking, parse_look
 from fleet.addons.pictures.packet_shares import timeline
 from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view, load, origin
@@ -22,7 +22,7 @@ from fleet.addons.pictures.style import (
     words_of,
 )
 from fleet.addons.pictures.time_series import consensus, formation, inputs
-from fleet.addons.pictures.verbs.choice import PictureChoice, drawn_alike
+from fleet.addons.pictures.verbs.choice import PictureChoice, find_common_drawer
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log
 from fleet.logs.topic import TooLargeError
@@ -53,7 +53,7 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
 _ONLY_IF: dict[str, Callable[[Run], bool]] = {
-    "timing": lambda run: on_wall_clock(run) and not run.of_nodes,
+    "timing": lambda run: has_wall_clock(run) and not run.of_nodes,
     "channel": channel.is_acoustic,
     **dict.fromkeys(("track", "error", "inputs"), lambda run: not (run.of_nodes or run.moored)),
 }
@@ -66,7 +66,7 @@ def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:
     single = {picture[0] for pictures in WHAT.values() for picture in pictures}
     for word in what:
         if word not in WHAT and word not in single and (name := parse_name(word)) is not None:
-            any_signal.need(runs, name)
+            any_signal.require_signal(runs, name)
 
 
 def draw(
@@ -187,10 +187,10 @@ def plot(
     paths = [log.path if isinstance(log, Log) else Path(log), *map(Path, others)]
     words, formats, folder = words_of(what), words_of(format), None if out is None else Path(out)
     log_scale = None if linear is None else not linear
-    if (other := drawn_alike(paths)) is not None:
+    if (other := find_common_drawer(paths)) is not None:
         shown = PictureChoice(measures=tuple(words), log_scale=log_scale, window=window)
         with looking(look):
-            return Pictures(other.figures(paths, folder, shown, formats, named(paths, labels), words))
+            return Pictures(other.figures(paths, folder, shown, formats, given_labels(paths, labels), words))
     single = [name for pictures in WHAT.values() for name, *_ in pictures]
     if strange := [word for word in words if word not in (*WHAT, *single) and parse_name(word) is None]:
         raise FleetError(f"there is no picture {strange[0]!r}; expected some of {', '.join(WHAT)}, or a signal")

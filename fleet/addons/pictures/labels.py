@@ -52,7 +52,7 @@ def distinct(labels: Sequence[str]) -> list[str]:
     return found
 
 
-def named(paths: Sequence[Path], given: Mapping[str, str] | Sequence[str]) -> list[str | None]:
+def given_labels(paths: Sequence[Path], given: Mapping[str, str] | Sequence[str]) -> list[str | None]:
     """The name that a user gives each of some runs or studies; None: none.
 
     Args:

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from fleet.addons.pictures.axes import (
     finish,
     marks_legend,
-    over_time,
+    time_axes,
 )
 from fleet.addons.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
 from fleet.addons.pictures.look import label_pt
@@ -68,7 +68,7 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
     edges = time_bins(first, last, faults, _period(sent))
     rows = fold([Row(run.link_label(link), _count(*found[link], edges)) for link in links])
     height = float(np.clip(_ROW_IN * len(rows), min(0.3 * len(rows), 1.6), 7.0))
-    figure, (ax,) = over_time(1, runs, view, height + 1.2)
+    figure, (ax,) = time_axes(1, runs, view, height + 1.2)
     counts: Counter[str] = Counter()
     for row in rows:
         counts.update({fate: int(bins.sum()) for fate, bins in row.bins.items()})

@@ -34,13 +34,13 @@ from fleet.addons.pictures.page import (
 from fleet.addons.pictures.runs import Run, View, first_words
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES
 from fleet.logs.payload_kinds import KindCount, count_kinds
-from fleet.logs.run_name import begun_at, run_name
+from fleet.logs.run_name import begin_time, run_name
 from fleet.logs.topic_names import link_topic
 from fleet.mcap.reader import OnProgress
 from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import LinkAge, Result
-from fleet.result.verdict import Verdict, failed_first
+from fleet.result.verdict import Verdict, sort_failed_first
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.network import show_network
 from fleet.scenario.sections.per_vehicle import Control
@@ -163,7 +163,7 @@ def kinds_table(kinds: Sequence[KindCount]) -> Table:
 
 def checks_table(verdicts: Sequence[Verdict]) -> Table:
     """The verdicts, failed checks on top."""
-    rows = [(one.check, Mark(not one.failed, one.mark), one.asked, one.found) for one in failed_first(verdicts)]
+    rows = [(one.check, Mark(not one.failed, one.mark), one.asked, one.found) for one in sort_failed_first(verdicts)]
     return Table(("check", "verdict", "asked", "found"), rows, "words")
 
 
@@ -402,7 +402,7 @@ def _facts(number: int, run: Run, found: RunResult) -> list[tuple[str, Any]]:
     name, path = run_name(run.log.path), from_here(run.log.path)
     facts = scenario_facts(run.scenario) if run.scenario is not None else []
     # The log holds simulated time only, so that it is the same each time.
-    begun = begun_at(name)
+    begun = begin_time(name)
     facts += [
         ("begun", f"{begun:%Y-%m-%d %H:%M:%S} UTC" if begun else "unknown: the name of the run does not say when"),
         ("log", f"{path}, {path.stat().st_size / 1e6:.1f} MB"),

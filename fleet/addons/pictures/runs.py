@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fleet.addons.pictures.labels import distinct, labels_of, named
+from fleet.addons.pictures.labels import distinct, given_labels, labels_of
 from fleet.addons.pictures.style import Provenance
 from fleet.errors import FleetError
 from fleet.logs.open_log import MOST_HELD, Log, Opening
@@ -136,10 +136,10 @@ def load(
     most_held: int = MOST_HELD,
     labels: Mapping[str, str] | Sequence[str] = (),
 ) -> list[Run]:
-    """Read logs, each with a name: `labels` as in `named`, the others as in `labels_of`. Of each at most `most_held`
+    """Read logs, each with a name: `labels` as in `given_labels`, the others as in `labels_of`. Of each at most `most_held`
     bytes are held at once. Raises LogReadError if one of them cannot be read; FleetError: a label is of none of them.
     """
-    given = named(paths, labels)
+    given = given_labels(paths, labels)
     check_readable(paths)
     # Poses are states in another form.
     logs = [Opening(path, _WANTED, share, drawn=_DRAWN, most_held=most_held).read() for path in paths]

@@ -16,11 +16,11 @@ from fleet.addons.pictures.axes import (
     MOST_NAMED,
     SMALLEST,
     Get,
+    clip_to_window,
     draw_lines,
     finish,
-    over_time,
+    time_axes,
     time_span,
-    within,
 )
 from fleet.addons.pictures.axes import bounds as draw_bounds
 from fleet.addons.pictures.beliefs import beliefs
@@ -74,7 +74,7 @@ def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
 
 
 def _norm(runs: Sequence[Run], view: View, name: str, label: str, *, believed: bool = False) -> Figure:
-    figure, axes = over_time(2, runs, view) if believed else over_time(1, runs, view, 2.4)
+    figure, axes = time_axes(2, runs, view) if believed else time_axes(1, runs, view, 2.4)
     log = view.log_scale is not False
     panel = list(zip(axes, (component("error", name), _believed_formation), strict=False))
     notes = draw_lines(figure, panel, runs, view, log=log)
@@ -110,7 +110,7 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
     """
     vehicles = sorted({i for run in runs for i in run.vehicles(view)})
     if not 2 <= len(vehicles) <= MOST_NAMED:
-        figure, axes = over_time(len(FORCES), runs, view)
+        figure, axes = time_axes(len(FORCES), runs, view)
         places: list[_Place] = [(ax, k, vehicles) for k, ax in enumerate(axes)]
         columns = 1
     else:
@@ -189,8 +189,8 @@ def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float, width: 
     line = next((one for one in ax.get_lines() if one.get_gid() == f"{run.slug}-vehicle-{i}"), None)
     if found is None or commanded is None or line is None or not limit > 0.0:
         return False
-    t, values = within(found[0], found[1][:, k], view.window)
-    _, asked = within(*commanded, view.window)
+    t, values = clip_to_window(found[0], found[1][:, k], view.window)
+    _, asked = clip_to_window(*commanded, view.window)
     at_limit = np.abs(asked[:, k]) >= _AT_LIMIT * limit
     if not at_limit.any():
         return False

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from agents.api import Signal
 from fleet.addons.programs.executables import obstacle
 from fleet.addons.programs.helpers import own_python
-from fleet.addons.programs.library import NoLibraryError, compiled
+from fleet.addons.programs.library import NoLibraryError, compile_library
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.message_signal import MessageSignal, plain_reader
 from fleet.addons.programs.modem_beside import MODEM_NAMES
@@ -69,7 +69,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     _check_values(path, parameters)
     node = (*setup, (interpreter if setup else found) or python, str(_ROS_VEHICLE)) if parameters.get("vehicle") else ()
     try:
-        compiled()
+        compile_library()
     except NoLibraryError as error:
         raise _wrong(path, str(error)) from None
 

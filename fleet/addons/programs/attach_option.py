@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fleet.addons.programs.attachment import Attachment, attached
+from fleet.addons.programs.attachment import Attachment, attach
 from fleet.cli.companion import Companion, RunCompanion
 from fleet.errors import FleetError
 from fleet.option import Option
@@ -50,7 +50,7 @@ class Attach(Companion):
     @contextmanager
     def start(self, how: Options) -> Iterator[RunCompanion]:
         """As long as the run lasts, its agent finds what was asked for."""
-        with attached(_read(self.options.attach or "")):
+        with attach(_read(self.options.attach or "")):
             yield RunCompanion()
 
     def _asked(self, scenario: Scenario) -> Attachment:

@@ -11,7 +11,7 @@ import msgpack
 
 from fleet.errors import FleetError
 from fleet.scenario.schema.programs import path_of, struct_of
-from world.plugins.fence import shown
+from world.plugins.fence import show_value
 
 Reader = Callable[[str, bytes], float]  # of a message, by its key and its payload; raises NoNumber: it has none
 
@@ -32,7 +32,7 @@ def number_at(value: Any, path: list[str | int]) -> float:
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise NoNumber(f"expected a number, got {shown(value):.40}") from None
+        raise NoNumber(f"expected a number, got {show_value(value):.40}") from None
 
 
 def plain_reader(kind: str, text: str) -> Reader:

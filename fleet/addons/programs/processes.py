@@ -21,7 +21,7 @@ from time import monotonic
 from fleet.addons.programs.attachment import Attachment, start_gdb, take_terminal
 from fleet.addons.programs.home import Home
 from fleet.addons.programs.kernel import cpu_s, memory_kb, process_group, wait_for_end
-from fleet.addons.programs.library import compiled
+from fleet.addons.programs.library import compile_library
 from fleet.addons.programs.ports import Ports
 from fleet.addons.programs.program_output import ProgramOutput
 from fleet.errors import FleetError
@@ -174,7 +174,7 @@ class Processes:
         return process.family
 
     def _start(self, command: Sequence[str], environment: Mapping[str, str], out: int, err: int) -> Process:
-        library, launcher = compiled()
+        library, launcher = compile_library()
         ours, its = socket.socketpair()
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _LOOK)

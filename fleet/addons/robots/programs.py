@@ -23,13 +23,13 @@ from fleet.addons.robots.message_values import reader
 from fleet.analysis.command_lines import search_path
 from fleet.errors import RunBroken
 from fleet.execution.notes import some
-from fleet.processes.child_start import for_programs
+from fleet.processes.child_start import program_environment
 from fleet.processes.children import describe_exit
 from fleet.result.verdict import Verdict
 from fleet.scenario.faults.kind import Kill, Part
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.programs import DONE, ProgramSection, expected_ending, filled, programs_of
-from fleet.scenario.sections.node_signals import told_by
+from fleet.scenario.schema.programs import DONE, ProgramSection, expected_ending, fill_placeholders, programs_of
+from fleet.scenario.sections.node_signals import signals_of_node
 from netem.fault_kinds import WorldFaultKind
 from netem.histogram import Histogram
 from netem.namespaces import address
@@ -91,7 +91,7 @@ class Programs:
             name: ProgramState(name, nodes.index(node) + 1, section)
             for name, node, section in programs_of(spec.programs or {}, nodes)
         }
-        self._signals = {i: told_by(spec, i) for i in range(1, len(nodes) + 1)}
+        self._signals = {i: signals_of_node(spec, i) for i in range(1, len(nodes) + 1)}
         self._values: dict[int, list[float]] = {}
         self._counts: dict[int, list[int]] = {}
         for i in self._signals:
@@ -137,7 +137,7 @@ class Programs:
                 self._meanings.append(("ready", state.node, 0, state.name))
 
     def _filled(self, text: str, node: int) -> str:
-        return filled(text, {"node": self._scenario.nodes[node - 1], "number": node})
+        return fill_placeholders(text, {"node": self._scenario.nodes[node - 1], "number": node})
 
     # Before the run begins.
 
@@ -199,7 +199,7 @@ class Programs:
             "begin_s": f"{begin_ns / 1e9:.3f}", "duration_s": f"{self._scenario.duration_ns / 1e9:g}",
             "dir": self._directory, "domain": os.environ.get("ROS_DOMAIN_ID", "0"),
         }  # fmt: skip
-        env = for_programs(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
+        env = program_environment(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
         env["PATH"] = search_path()
         env |= {"PYTHONUNBUFFERED": "1", "ROS_DOMAIN_ID": str(known["domain"])}
         if listen:
@@ -207,11 +207,11 @@ class Programs:
                 "RMW_IMPLEMENTATION": "rmw_zenoh_cpp",
                 "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{listen}"]',
             }
-        env |= {key: filled(text, known) for key, text in section.env.items()}
+        env |= {key: fill_placeholders(text, known) for key, text in section.env.items()}
         told = self._signals[state.node].values()
         lines = [(n, each.line, bool(each.count)) for n, each in enumerate(told) if each.line is not None]
         return {
-            "name": state.name, "node": node, "argv": [filled(word, known) for word in section.run], "env": env,
+            "name": state.name, "node": node, "argv": [fill_placeholders(word, known) for word in section.run], "env": env,
             "folder": section.folder or ".", "nice": section.nice, "signals": lines,
             "log": str(self._log_of(state)),
             "line": _NEVER if ready.token or ready.key else ready.line, "port": ready.port, "after_ns": ready.after,

@@ -18,7 +18,7 @@ from fleet.addons.studies.row import PartRow, Row
 from fleet.analysis.randomness import may_draw
 from fleet.analysis.verdicts import judge
 from fleet.execution.external_agents import refuse
-from fleet.execution.in_process import InProcess, in_process
+from fleet.execution.in_process import InProcess, start_in_process
 from fleet.execution.moments import Prefix, reach
 from fleet.processes.apart import can_copy, in_child_process
 from fleet.recorder.log_file import NoDigest
@@ -113,7 +113,7 @@ def _future(
     grid = moment_grid(scenario.spec)
     signals = _Signals(margin, grid) if asked.check not in _OF_THE_TIME else None
     certain = certain_margin(scenario) if asked.check == "max_age" else None
-    run = in_process(scenario, signals or NoDigest(), None if moment is None else moment.run, salt=salt)
+    run = start_in_process(scenario, signals or NoDigest(), None if moment is None else moment.run, salt=salt)
     run.begin()
     begin, best, places = run.granted, asked.best, list[tuple[float, int]]()
     try:

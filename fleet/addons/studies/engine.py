@@ -44,12 +44,12 @@ class Engine(Protocol):
         worker starts; StudyError: the workers are gone."""
 
 
-def need_extra() -> None:
+def require_extra() -> None:
     """Raises StudyError: the libraries of the extra `study` are not installed."""
-    need(NEEDED, "studies need", "study")
+    require(NEEDED, "studies need", "study")
 
 
-def need(libraries: Iterable[str], who: str, extra: str) -> None:
+def require(libraries: Iterable[str], who: str, extra: str) -> None:
     """Raises StudyError: libraries of an extra are not installed."""
     missing = [name for name in libraries if find_spec(name) is None]
     if missing:
@@ -180,7 +180,7 @@ def dask_engine(scheduler: str | Any, security: Any = None) -> Iterator[DaskEngi
     cluster object. `security`: a `distributed.security.Security`; None: as Dask's configuration says. Raises
     StudyError: Dask is not installed; the cluster cannot be reached or has no worker; a worker has another version of
     something; or the cluster speaks TLS, and there are no certificates."""
-    need(_OF_CLUSTERS, "a cluster needs", "cluster")
+    require(_OF_CLUSTERS, "a cluster needs", "cluster")
     from distributed import Client
     from distributed.security import Security
 

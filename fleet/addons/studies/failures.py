@@ -27,9 +27,9 @@ from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import Modules, modules_of
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import run_key
-from fleet.addons.studies.row import VOTES, Row, voted
+from fleet.addons.studies.row import VOTES, Row, majority
 from fleet.addons.studies.shrink import Shrinker
-from fleet.execution.external_agents import on_wall_clock, refuse
+from fleet.execution.external_agents import refuse, uses_wall_clock
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.files import DamagedFile, read_json
@@ -95,7 +95,7 @@ class FailureFolder:
         """Write a scenario and what is expected of it, in place of what was there of this name. Raises StudyError: it
         cannot be written."""
         path = self.path / failure.file
-        if on_wall_clock(scenario):  # whose log never comes out the same again
+        if uses_wall_clock(scenario):  # whose log never comes out the same again
             failure.digest = ""
         self._write(path, scenario.to_yaml().encode())
         failure.paste = self.paste(failure)
@@ -252,7 +252,7 @@ class Regression:
 
 
 def _compared(failure: FoundFailure, rows: list[Row]) -> RegressionResult:
-    row, fails, of = voted(rows, failure.check)
+    row, fails, of = majority(rows, failure.check)
     found = _compared_one(failure, row)
     if len(rows) == 1 or found.broken:
         return found

@@ -28,7 +28,7 @@ from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
 from fleet.execution.stepped_run import Run
 from fleet.execution.triggered import resolve_triggers
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.processes.apart import can_copy, in_child_process
 from fleet.recorder.log_file import LogFile, NoDigest
 from fleet.result.file import write_result
@@ -132,7 +132,7 @@ def _whole(task: Task, scenario: Scenario, check: Callable[[float], None]) -> Ro
     if task.log:
         return measured_row(run_and_record(scenario, Path(task.log), check, samples), samples)
     # The digest of a run that fails is that of its repetition: to make it here would make each failure twice.
-    result = judged(scenario, in_time, samples, log=NoDigest() if task.bare else None)
+    result = run_loaded(scenario, in_time, samples, log=NoDigest() if task.bare else None)
     return measured_row(result, samples)
 
 
@@ -210,7 +210,7 @@ def run_and_record(
     part.mkdir(parents=True)
     try:
         (part / SCENARIO).write_text(scenario.to_yaml(), "utf-8")
-        result = judged(scenario, check, samples, LogFile(part / LOG))
+        result = run_loaded(scenario, check, samples, LogFile(part / LOG))
         write_result(result, part)
         shutil.rmtree(directory, ignore_errors=True)  # of a study that was killed before it had the row
         os.replace(part, directory)

@@ -175,9 +175,9 @@ def _described(field: OptionField) -> str:
     return _QUOTED.sub(r"`\1`", field.option.help.removesuffix(".")) + f"{unit}.{default}"
 
 
-def by_key(field: OptionField, texts: Iterable[str]) -> dict[str, str]:
+def texts_by_key(field: OptionField, texts: Iterable[str]) -> dict[str, str]:
     """The texts of an option that is given once per key. Raises StudyError: one has no key, or a key is twice there."""
-    return set_values(texts) if field.kind is Kind.VALUE else varied(texts, str(field.flag))
+    return set_values(texts) if field.kind is Kind.VALUE else varied_values(texts, str(field.flag))
 
 
 def set_values(texts: Iterable[str]) -> dict[str, str]:
@@ -192,7 +192,7 @@ def set_values(texts: Iterable[str]) -> dict[str, str]:
     return values
 
 
-def varied(texts: Iterable[str], flag: str = "--vary") -> dict[str, str]:
+def varied_values(texts: Iterable[str], flag: str = "--vary") -> dict[str, str]:
     """The VALUES of several `--vary KEY=VALUES`, or of another flag, by key. Raises StudyError: one has no key, or a
     key is there twice."""
     found: dict[str, str] = {}

@@ -246,7 +246,7 @@ class Splitting:
             if not spread or level < 0 or level == inf:
                 break
             found.append(level)
-            entrances = [_entrance(path, level) for path in paths if reached(path.best, level)]
+            entrances = [_entrance(path, level) for path in paths if is_reached(path.best, level)]
         return (*found, 0.0), cost, spread
 
     def repeat(self, make: Make, levels: Sequence[float], seed: int) -> RareRepeat:
@@ -257,7 +257,7 @@ class Splitting:
             cost += sum(path.ticks for path in paths)
             if stage == 0:
                 spread = len({path.best for path in paths}) > 1
-            entrances = [_entrance(path, level) for path in paths if reached(path.best, level)]
+            entrances = [_entrance(path, level) for path in paths if is_reached(path.best, level)]
             shares.append(len(entrances) / self.effort)
             probability *= shares[-1]
             if not entrances:
@@ -272,7 +272,7 @@ class Splitting:
             start = entrances[bits(seed, PURPOSE, stage, n, 0) % len(entrances)]
             asks.append(Ask(start, 1 + bits(seed, PURPOSE, stage, n, 1) % (2**62), level))
         over = [
-            ask.start.way is None or (level is not None and reached(ask.start.best, level)) for ask in asks
+            ask.start.way is None or (level is not None and is_reached(ask.start.best, level)) for ask in asks
         ]  # nothing is left to find out
         made = iter(make([ask for ask, known in zip(asks, over, strict=True) if not known]))
         found = []
@@ -288,13 +288,13 @@ class Splitting:
         return found
 
 
-def reached(score: float, level: float) -> bool:
+def is_reached(score: float, level: float) -> bool:
     """Whether a score is at a level; at the last one only below it."""
     return score < 0.0 if level == 0.0 else score <= level
 
 
 def _entrance(path: SplitPath, level: float) -> Entrance:
-    first = next((entrance for entrance in path.entrances if reached(entrance.best, level)), None)
+    first = next((entrance for entrance in path.entrances if is_reached(entrance.best, level)), None)
     return first or Entrance(path.best, None)
 
 

@@ -116,7 +116,7 @@ class Row(Struct, kw_only=True):
 VOTES = 3  # of runs on the wall clock, which repeat well, and not exactly
 
 
-def voted(rows: Sequence[Row], check: str = "") -> tuple[Row, int, int]:
+def majority(rows: Sequence[Row], check: str = "") -> tuple[Row, int, int]:
     """What most of some runs of the same came to.
 
     Args:

@@ -25,7 +25,7 @@ from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import NO_MODULES, Modules
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import run_key
-from fleet.addons.studies.row import FAILED, Row, voted
+from fleet.addons.studies.row import FAILED, Row, majority
 from fleet.addons.studies.targets import Targets, narrower, targets
 from fleet.analysis.verdicts import PROGRAMS
 from fleet.errors import ScenarioError
@@ -211,8 +211,8 @@ class Shrinker:
     def _weaker(self, k: int, kind: str, place: int) -> Iterator[Tree]:
         value = self._tree["faults"][k][kind]
         for share in (Fraction(0), *_SHARES):
-            less = scaled(value, place, share)
-            if less != scaled(value, place, Fraction(1)):
+            less = scale_number(value, place, share)
+            if less != scale_number(value, place, Fraction(1)):
                 yield _with_fault(self._tree, k, {kind: less})
 
     def _least(self, candidates: Sequence[Tree]) -> Tree | None:
@@ -229,10 +229,10 @@ class Shrinker:
             return self._run_each(trees, "")
         rounds = [self._run_each(trees, ""), self._run_each(trees, "again")]
         rows: list[list[Row]] = [[*each] for each in zip(*rounds, strict=True)]
-        open_ = [n for n, two in enumerate(rows) if voted(two, self._check)[1:] not in ((0, 2), (2, 2))]
+        open_ = [n for n, two in enumerate(rows) if majority(two, self._check)[1:] not in ((0, 2), (2, 2))]
         for n, row in zip(open_, self._run_each([trees[n] for n in open_], "once more"), strict=True):
             rows[n].append(row)
-        return [voted(each, self._check)[0] for each in rows]
+        return [majority(each, self._check)[0] for each in rows]
 
     def _run_each(self, trees: Sequence[Tree], which: str) -> list[Row]:
         """The row of each. `which`: of several runs of the same, on the wall clock."""
@@ -330,7 +330,7 @@ def _texts(value: Any) -> list[str]:
     return [str(value)]
 
 
-def scaled(value: Any, place: int, share: Fraction) -> Any:
+def scale_number(value: Any, place: int, share: Fraction) -> Any:
     """The value with its number at `place`, counted over all its texts, times a share."""
     seen = 0
 

@@ -241,7 +241,7 @@ class _Run:
         return f"fleet {self.task.modules.verb} ended with status {code}: {' | '.join(lines[-3:])[:500]}"
 
 
-def told_of(directory: Path) -> list[str]:
+def describe_failure(directory: Path) -> list[str]:
     """A run that failed, in words: its faults, what failed first, how its programs ended, and how to make it again."""
     try:
         result = read_result(directory)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from fleet.addons.studies.borders import Border, Borders, OnProgress, border_plan, find_borders, prepare_borders, theory
-from fleet.addons.studies.engine import engine_of, need_extra
+from fleet.addons.studies.engine import engine_of, require_extra
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.measures import CHECK, find_columns
 from fleet.addons.studies.one_run import A_STUDY
@@ -26,7 +26,7 @@ from fleet.addons.studies.study_file import NamedStudy, study_named
 from fleet.addons.studies.summary import PointSummary, summarise
 from fleet.addons.studies.sweep import Progress, prepare, run_study
 from fleet.execution.execute import execute
-from fleet.execution.external_agents import on_wall_clock
+from fleet.execution.external_agents import uses_wall_clock
 from fleet.execution.options import Options
 from fleet.notebook import Pictures, html_table
 from fleet.result.result import Result
@@ -223,7 +223,7 @@ class Study:
         changes = [f"seed={seed}"]
         with trusting(trust):
             scenario = parse_scenario(row.scenario, record.scenario, changes, self._store.folder, Policy(A_STUDY))
-            if on_wall_clock(scenario):
+            if uses_wall_clock(scenario):
                 admit_programs(scenario.spec, scenario.reading.policy)
                 return run_stack(scenario, out)
         return execute(scenario, Options(out, in_process=True, quiet=True))
@@ -241,7 +241,7 @@ def open_study(directory: str | Path) -> Study:
     Raises:
         StudyError: there is none, it is damaged, or the extra `study` is not installed.
     """
-    need_extra()
+    require_extra()
     return Study(Store.open(Path(directory)))
 
 
@@ -278,7 +278,7 @@ def sweep(
         RunBroken: its workers cannot be started.
         TypeError: there is no such argument.
     """
-    need_extra()
+    require_extra()
     study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
     spec = study.spec.with_options(**keywords(StudySpec, {"vary": vary, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
@@ -384,7 +384,7 @@ def boundary(
         StudyError: the study cannot be made or run.
         TypeError: there is no such argument.
     """
-    need_extra()
+    require_extra()
     spec = BoundarySpec(**keywords(BoundarySpec, {"along": along, "per": per, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
     with trusting(trust):

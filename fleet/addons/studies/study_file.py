@@ -132,7 +132,7 @@ class _Reader:
 
 def study_yaml(spec: StudySpec) -> str:
     """The text of a study as a file, which may stand anywhere on this machine."""
-    values = msgspec.to_builtins(placed(spec))
+    values = msgspec.to_builtins(with_whole_path(spec))
     values["seeds"] = int(spec.seeds) if spec.seeds.isdecimal() else spec.seeds
     if spec.set:
         values["set"] = {key: _nested(text) for key, text in spec.set.items()}
@@ -142,7 +142,7 @@ def study_yaml(spec: StudySpec) -> str:
     return yaml_text({_KEY: {key: values[key] for key in spec.__struct_fields__ if key in values}})
 
 
-def placed(spec: StudySpec) -> StudySpec:
+def with_whole_path(spec: StudySpec) -> StudySpec:
     """The same study with the whole path of the scenario's file, so that it holds in every directory."""
     if not is_file(spec.scenario):
         return spec

@@ -31,13 +31,13 @@ from fleet.addons.studies.record import VERSION, BorderRecord, StudyRecord, axis
 from fleet.addons.studies.row import PREFIX, Row, sometimes_names
 from fleet.addons.studies.spec import KeepLogs, StudySpec
 from fleet.addons.studies.statistics import Estimate, pass_rate
-from fleet.addons.studies.stopping import parse_until, watched_by
+from fleet.addons.studies.stopping import parse_until, watched_measures
 from fleet.addons.studies.store import Store, StudyPoint
-from fleet.addons.studies.study_file import placed
+from fleet.addons.studies.study_file import with_whole_path
 from fleet.addons.studies.summary import DEFAULT, WITHOUT_PLACES
 from fleet.analysis.preflight import check_warnings
 from fleet.errors import Problem, ScenarioError
-from fleet.execution.external_agents import on_wall_clock, refuse
+from fleet.execution.external_agents import refuse, uses_wall_clock
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
@@ -108,9 +108,9 @@ def prepare(
         made_by=version("uuv-fleet"),
         measures=measures,
         folder=None if folder is None else str(folder),
-        spec=None if spec is None else placed(spec),
+        spec=None if spec is None else with_whole_path(spec),
         border=border,
-        programs=on_wall_clock(first),
+        programs=uses_wall_clock(first),
     )
     texts: dict[str, Point] = {}
     for point, scenario in zip(plan.points, scenarios, strict=True):
@@ -132,7 +132,7 @@ def measure_columns(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tup
     checked = measures_of_checks(scenarios)
     if not measures and (checked or usual is not DEFAULT):
         measures = (*usual, *checked)
-    watched = watched_by(spec.until) if spec.until else []
+    watched = watched_measures(spec.until) if spec.until else []
     columns = [*STANDING, *signal_columns_of(filter(is_signal, (*measures, *watched)), scenarios)]
     columns += [MeasureColumn(PREFIX + name, "") for name in sometimes_names(scenarios)]
     checks = check_names(scenarios)

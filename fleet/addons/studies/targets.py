@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from fleet.quantities import vehicle_numbers
-from fleet.scenario.faults.kind import FleetFault, LinkFault
+from fleet.scenario.faults.kind import FleetFaultKind, LinkFaultKind
 from fleet.scenario.faults.kinds import KINDS
-from fleet.scenario.faults.of_links import LinkConditionFault, PartitionFault
+from fleet.scenario.faults.of_links import LinkFault, PartitionFault
 from fleet.scenario.faults.partitions import partition
 from netem.condition import Link
 from netem.errors import TextError
@@ -36,9 +36,9 @@ def targets(kind: str, value: Any, vehicles: int, seed: int, name: str) -> Targe
     match KINDS[kind]:
         case PartitionFault():
             return _cut_off(value, vehicles, seed, name)
-        case LinkConditionFault():
+        case LinkFault():
             return Targets([*value], lambda some, _: {key: value[key] for key in some})
-        case LinkFault() | FleetFault():
+        case LinkFaultKind() | FleetFaultKind():
             return None
     try:
         if not isinstance(value, dict):
@@ -88,9 +88,9 @@ def narrower(kind: str, value: Any, links: Sequence[Link]) -> Iterator[Any]:
         for key, condition in value.items():
             for less in _selectors(key, links):
                 yield {less if other == key else other: what for other, what in value.items()} | {less: condition}
-    elif isinstance(KINDS[kind], LinkFault) and isinstance(value, dict):
+    elif isinstance(KINDS[kind], LinkFaultKind) and isinstance(value, dict):
         yield from (value | {"links": less} for less in _selectors(value["links"], links))
-    elif isinstance(KINDS[kind], LinkFault):
+    elif isinstance(KINDS[kind], LinkFaultKind):
         yield from _selectors(value, links)
 
 

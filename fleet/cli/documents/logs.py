@@ -114,7 +114,7 @@ class Checked(Struct):
     not_checked: Annotated[list[ProblemRow], Meta(description="Laws that may not run here and were not checked.")]
 
 
-def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: Sequence[Problem]) -> Checked:
+def check_document(scenario: Scenario, found: Analysis, warnings: list[str], refused: Sequence[Problem]) -> Checked:
     """The document of a valid scenario. `refused`: the laws that were not checked."""
     return Checked(
         valid=True,
@@ -216,7 +216,7 @@ class Compared(Struct):
     besides: Annotated[list[str], Meta(description="Metadata, attachments and declarations.")]
 
 
-def compared(
+def diff_document(
     paths: tuple[Path, Path], missing: tuple[str, str], found: LogComparison, tolerance: float, besides: list[str]
 ) -> Compared:
     """The document of a comparison."""

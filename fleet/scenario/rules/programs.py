@@ -7,7 +7,14 @@ from pathlib import Path
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.checks import WAIVED
-from fleet.scenario.schema.programs import OF_KEYS, PLACEHOLDERS, filled, no_placeholder, nodes_of, programs_of
+from fleet.scenario.schema.programs import (
+    OF_KEYS,
+    PLACEHOLDERS,
+    fill_placeholders,
+    no_placeholder,
+    nodes_of,
+    programs_of,
+)
 from netem.parsing import nearest
 
 _LIKE = 0.8  # {nodes} and {node}, and not {code}
@@ -85,7 +92,7 @@ def signals(parts: Parts, report: Report) -> None:
             continue
         if key.startswith("udp/"):
             ports = {node: [f"udp/{port}" for port in (spec.nodes or {})[node].udp] for node in found}
-            keys = [filled(key, {"node": node, "number": nodes.index(node) + 1}) for node in found]
+            keys = [fill_placeholders(key, {"node": node, "number": nodes.index(node) + 1}) for node in found]
             if found and not any(one in ports[node] for one, node in zip(keys, found, strict=True)):
                 known = ", ".join(port for some in ports.values() for port in some)
                 hint = f"they have {known}" if known else "nodes: {NODE: {udp: {PORT: ...}}}"
@@ -96,7 +103,7 @@ def signals(parts: Parts, report: Report) -> None:
         from netem.wire.robots import check_key  # here, because it imports zenoh
 
         for number, node in enumerate(nodes, start=1):
-            if node in found and (wrong := check_key(filled(key, {"node": node, "number": number}))):
+            if node in found and (wrong := check_key(fill_placeholders(key, {"node": node, "number": number}))):
                 report.add(("signals", name, "message"), f"zenoh takes no such key expression: {wrong}")
                 break
 

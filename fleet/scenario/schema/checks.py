@@ -19,7 +19,7 @@ from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
 from fleet.scenario.schema.programs import ProgramsCheck
 from fleet.scenario.value_types import Section, mistake
-from world.plugins.loading import CHECKS, installed
+from world.plugins.loading import CHECKS, entry_points_of
 
 
 class Below(Section):
@@ -227,7 +227,7 @@ class ChecksSection(Section):
             return value
         known = cls.model_fields.keys() - {"python"}
         others = {key: one for key, one in value.items() if isinstance(key, str) and key not in known}
-        classes = {key: one for key, one in others.items() if ":" in key or key in installed(CHECKS)}
+        classes = {key: one for key, one in others.items() if ":" in key or key in entry_points_of(CHECKS)}
         return {key: one for key, one in value.items() if key not in classes} | ({PYTHON: classes} if classes else {})
 
     @model_serializer(mode="wrap")

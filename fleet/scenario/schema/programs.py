@@ -28,7 +28,7 @@ OF_KEYS = ("node", "number")  # placeholders that keys have
 _FORMATS = ("json", "msgpack", "cbor", "ros", "struct")
 
 
-def filled(text: str, values: Mapping[str, object]) -> str:
+def fill_placeholders(text: str, values: Mapping[str, object]) -> str:
     """A text with values in place of `{node}` and other placeholders; other braces stay as they are."""
     return re.sub(rf"\{{({'|'.join(PLACEHOLDERS)})\}}", lambda found: str(values.get(found[1], found[0])), text)
 

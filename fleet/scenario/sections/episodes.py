@@ -106,7 +106,9 @@ def draw(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[list[FaultSec
     return sorted(work.faults, key=lambda fault: fault.at), work.triggers
 
 
-def counted(nemesis: NemesisSection, ground: NemesisTargets, seeds: Iterable[int]) -> tuple[Counter[str], Counter[str]]:
+def count_episodes(
+    nemesis: NemesisSection, ground: NemesisTargets, seeds: Iterable[int]
+) -> tuple[Counter[str], Counter[str]]:
     """How many episodes of each kind and how many faults of each kind some seeds draw."""
     of_episodes, of_faults = Counter[str](), Counter[str]()
     for seed in seeds:

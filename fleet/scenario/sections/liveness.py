@@ -25,7 +25,7 @@ _IDEAL = ("off",)
 _CORE, _BREAKS, _WHEN = range(3)  # what is drawn
 
 
-def healed_at(nemesis: NemesisSection, ground: NemesisTargets) -> int:
+def heal_time(nemesis: NemesisSection, ground: NemesisTargets) -> int:
     """When the core is healed [ns]."""
     spec = ground.spec
     return spec.duration // 2 // spec.tick * spec.tick if nemesis.heal is None else nemesis.heal
@@ -55,7 +55,7 @@ def core(nemesis: NemesisSection, ground: NemesisTargets) -> list[int]:
 
 def faults(nemesis: NemesisSection, ground: NemesisTargets) -> list[FaultSection]:
     """The faults: those of a swarm up to the heal, and the lasting ones."""
-    spec, heal = ground.spec, healed_at(nemesis, ground)
+    spec, heal = ground.spec, heal_time(nemesis, ground)
     chaos = swarm.to_sections(swarm.draw(nemesis, ground, heal), ground)
     healthy, taken = set(core(nemesis, ground)), {fault.id for fault in spec.faults}
     stay: list[FaultSection] = []
@@ -72,13 +72,13 @@ def faults(nemesis: NemesisSection, ground: NemesisTargets) -> list[FaultSection
     return sorted([*chaos, *stay], key=lambda fault: fault.at)
 
 
-def of_the_core(checks: ChecksSection, nemesis: NemesisSection, ground: NemesisTargets) -> ChecksSection:
+def core_checks(checks: ChecksSection, nemesis: NemesisSection, ground: NemesisTargets) -> ChecksSection:
     """The checks of a scenario as they judge a core.
 
     Some checks count only from the heal on, and only for vehicles of the core. These are signals with
     `eventually_within` or `agree_within`, errors, times of recovery, and connections. All others stay as they are.
     """
-    heal, some = healed_at(nemesis, ground), core(nemesis, ground)
+    heal, some = heal_time(nemesis, ground), core(nemesis, ground)
     changes: dict[str, Any] = {}
     if checks.signal is not None:
         changes["signal"] = [_of_signal(check, some, heal) for check in checks.signal]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from fleet.scenario.faults.kind import LinkFault
+from fleet.scenario.faults.kind import LinkFaultKind
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
@@ -39,7 +39,7 @@ def explicit(ground: NemesisTargets) -> ScenarioSpec:
     match nemesis.mode:
         case "liveness":
             drawn = liveness.faults(nemesis, ground)
-            changes["checks"] = liveness.of_the_core(spec.checks, nemesis, ground)
+            changes["checks"] = liveness.core_checks(spec.checks, nemesis, ground)
         case "episodes":
             drawn, triggers = episodes.draw(nemesis, ground)
             changes["triggers"] = [*spec.triggers, *triggers]
@@ -47,11 +47,11 @@ def explicit(ground: NemesisTargets) -> ScenarioSpec:
             drawn = swarm.to_sections(swarm.draw(nemesis, ground), ground)
         case _:
             drawn = _grid(spec, nemesis, ground.links)
-    kept = within_limit(nemesis.most_silent, drawn, spec.faults)
+    kept = keep_within_limit(nemesis.most_silent, drawn, spec.faults)
     return spec.model_copy(update=changes | {"faults": [*spec.faults, *kept]})
 
 
-def within_limit(
+def keep_within_limit(
     most_silent: int | None, faults: Sequence[FaultSection], own: Sequence[FaultSection] = ()
 ) -> list[FaultSection]:
     """Leave out faults by which more than `most_silent` vehicles would be dead, suspended or mute at once.
@@ -100,7 +100,7 @@ def fault_count(nemesis: NemesisSection, ground: NemesisTargets) -> int:
         return len(_times(nemesis, ground.spec))
     if nemesis.mode == "episodes":
         return episodes.MOST_FAULTS * len(episodes.plan(nemesis, ground).begins)
-    until = liveness.healed_at(nemesis, ground) if nemesis.mode == "liveness" else None
+    until = liveness.heal_time(nemesis, ground) if nemesis.mode == "liveness" else None
     return sum(one.pieces for one in swarm.draw(nemesis, ground, until)) + (
         ground.spec.vehicles if nemesis.mode == "liveness" else 0
     )
@@ -124,7 +124,7 @@ def _target(kind: str, name: str, spec: ScenarioSpec, number: int, links: Sequen
         # The draw of a partition depends on its id, not on its place: a list that is sorted by time draws the same.
         cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]
-    if isinstance(KINDS[kind], LinkFault):
+    if isinstance(KINDS[kind], LinkFaultKind):
         pairs = sorted({(min(link), max(link)) for link in links})
         return str(Selector(*pairs[_draw(spec, number, 1, len(pairs))], both=True))
     return str(1 + _draw(spec, number, 1, spec.vehicles))

@@ -139,6 +139,6 @@ def last_slot(ground: NemesisTargets) -> int | None:
     return ground.spec.vehicles if acoustic is not None and acoustic.mac == "tdma" else None
 
 
-def without(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int]) -> frozenset[Pair]:
+def remaining_pairs(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int]) -> frozenset[Pair]:
     """The pairs that are left where some are cut and some vehicles silent."""
     return frozenset(p for p in pairs if p not in cut and p[0] not in silent and p[1] not in silent)

@@ -84,7 +84,7 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
 
     `vehicles`: the signals of every vehicle of the scenario. Raises SignalCheckError: it makes no sense.
     """
-    signal, some, unit = named_signal(check.topic, check.vehicles, vehicles)
+    signal, some, unit = find_signal(check.topic, check.vehicles, vehicles)
     condition = _condition(check, unit)
     if condition.over != "each" and len(some) < 2:
         raise SignalCheckError(_given(check)[0], "compares vehicles, but there is only one", "name two or more")
@@ -99,7 +99,7 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
     )  # fmt: skip
 
 
-def named_signal(
+def find_signal(
     topic: str, of: str | None, vehicles: Mapping[int, Mapping[str, SignalPlace]]
 ) -> tuple[SignalName, tuple[int, ...], str]:
     """The signal that a topic names, the vehicles that are meant, and its unit.
@@ -127,7 +127,7 @@ def named_signal(
     return signal, some, unit
 
 
-def of_a_plugin(text: str) -> bool:
+def is_of_plugin(text: str) -> bool:
     """Whether a text names a signal that only a vehicle's laws or its plant may have."""
     signal = parse_name(text)
     if signal is None:

@@ -20,7 +20,7 @@ from dataclasses import replace
 from math import log
 from typing import Any, NamedTuple
 
-from fleet.scenario.faults.kind import FleetFault, LinkFault, Strength, between
+from fleet.scenario.faults.kind import FleetFaultKind, LinkFaultKind, Strength, interpolate
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import DownFault, PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
@@ -36,7 +36,7 @@ from fleet.scenario.sections.nemesis_targets import (
     hubs,
     last_slot,
     leader,
-    without,
+    remaining_pairs,
 )
 from netem.condition import Condition
 from netem.draws import bits, uniform
@@ -81,7 +81,7 @@ def picks_of(nemesis: NemesisSection, ground: NemesisTargets) -> list[NemesisPic
 
 def of_links(pick: NemesisPick) -> bool:
     """Whether a pick by name needs links."""
-    return pick.drawn in CONDITIONS or isinstance(KINDS.get(pick.drawn or ""), LinkFault | PartitionFault)
+    return pick.drawn in CONDITIONS or isinstance(KINDS.get(pick.drawn or ""), LinkFaultKind | PartitionFault)
 
 
 def span(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[int, int]:
@@ -180,7 +180,7 @@ class _Past:
     def left(self, at: int) -> frozenset[Pair]:
         """The pairs that no fault cuts or silences at a time."""
         cut = {pair for end, pairs in self._cut if end > at for pair in pairs}
-        return without(self.pairs, cut, {i for end, i in self._silent if end > at})
+        return remaining_pairs(self.pairs, cut, {i for end, i in self._silent if end > at})
 
     def speaker(self, at: int) -> int | None:
         """The vehicle that began to speak last after a silence; None: no vehicle was silent."""
@@ -205,12 +205,12 @@ def _body(
             name = f"nemesis-{one.number}"
             links = partition(target, ground.spec.vehicles, ground.spec.seed, name, ground.links)
             cut = {(min(link), max(link)) for link in links}
-        case LinkFault():
+        case LinkFaultKind():
             selector = _links(one, ground, past)
             target = str(selector)
             if isinstance(kind, DownFault):
                 cut = {(min(link), max(link)) for link in select(selector, ground.links)}
-        case FleetFault():
+        case FleetFaultKind():
             target = ""
         case _:
             who = _vehicle(one, ground, past)
@@ -305,7 +305,7 @@ def condition(kind: str, own: Condition, strength: Strength) -> Condition:
         case "delay":
             late = strength.later_ns
             return replace(own, delay_ns=own.delay_ns + late, jitter_ns=max(own.jitter_ns, late // 4))
-    rate = round(between(200.0, 20_000.0, 1.0 - strength.size))
+    rate = round(interpolate(200.0, 20_000.0, 1.0 - strength.size))
     return replace(own, rate_bit_s=min(own.rate_bit_s or rate, rate))
 
 

@@ -16,7 +16,7 @@ from fleet.quantities import show_time
 from fleet.scenario.schema.checks import SignalCheck
 from fleet.scenario.schema.faults import FaultEntry, FaultSection, TriggerSection, WhenSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.signal_checks import SignalCheckError, SignalCondition, ask, named_signal
+from fleet.scenario.sections.signal_checks import SignalCheckError, SignalCondition, ask, find_signal
 from fleet.scenario.sections.signals import SignalName, SignalPlace
 
 RELATIVE = ("itself", "others", "neighbours")  # seen from the agent that reports
@@ -47,7 +47,7 @@ def ask_moment(when: WhenSection, vehicles: Mapping[int, Mapping[str, SignalPlac
     if len(given) != 1:
         problem = f"expected one condition, got {' and '.join(given) or 'none'}"
         raise SignalCheckError(given[1] if given else "topic", problem, "above, below, equals, or changes: true")
-    signal, some, _ = named_signal(when.topic, when.vehicles, vehicles)
+    signal, some, _ = find_signal(when.topic, when.vehicles, vehicles)
     if when.changes is not None:
         return AskedMoment(signal, some, None)
     values = {key: getattr(when, key) for key in ("topic", "vehicles", "above", "below", "equals")}

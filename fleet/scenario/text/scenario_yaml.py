@@ -65,9 +65,9 @@ def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     """The values that profile and model supply: section -> (origin, values), for vehicles without own entries."""
     supplied: dict[str, tuple[str, dict[str, Any]]] = {}
     model = VehicleSection(model=spec.vehicle.model or "paper")
-    if set(per_vehicle.given(spec.vehicle)) <= {"model", "plant", "tumble_pitch", *LIMITS}:
+    if set(per_vehicle.given_values(spec.vehicle)) <= {"model", "plant", "tumble_pitch", *LIMITS}:
         supplied["vehicle"] = f"vehicle {model.model}", per_vehicle.inlined_vehicle(model, None).model_dump()
-    choice = per_vehicle.merged(spec, ())
+    choice = per_vehicle.merge_overrides(spec, ())
     names = per_vehicle.law_names(choice)
     if names is not None:
         guidance, tracking = names

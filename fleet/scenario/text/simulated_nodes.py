@@ -19,7 +19,7 @@ from fleet.scenario.schema.programs import (
     ProgramSection,
     StackSignalSection,
     expected_ending,
-    filled,
+    fill_placeholders,
     nodes_of,
     programs_of,
 )
@@ -82,7 +82,7 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
                 yield ("programs", name), f"{{{place}}} is a file or port of a real host", "{listen}"
 
 
-def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
+def simulated_values(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     """The scenario of vehicles that a valid file of nodes is in simulated time, as values of its text.
 
     Args:
@@ -157,8 +157,8 @@ def _agent(
     ours = {} if node.udp else {
         "RMW_IMPLEMENTATION": "rmw_zenoh_cpp", "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{_ROUTER}"]',
     }  # fmt: skip
-    agent = _program([filled(word, known) for word in section.run], folder, section.folder)
-    if environment := ours | {key: filled(text, known) for key, text in section.env.items()}:
+    agent = _program([fill_placeholders(word, known) for word in section.run], folder, section.folder)
+    if environment := ours | {key: fill_placeholders(text, known) for key, text in section.env.items()}:
         agent["env"] = environment
     if awaited := [_ready(name, each, spec) for name, each in programs.items() if each.ready.line is not None]:
         agent["ready"] = awaited
@@ -169,8 +169,8 @@ def _agent(
         agent["ends"] = _ENDS[expected_ending(spec.checks.programs, first, name)]
         agent["beside"] = {
             program.removeprefix(f"{name}/"): {
-                "run": _command([filled(word, known) for word in each.run], folder / (each.folder or "")),
-                "env": {key: filled(text, known) for key, text in each.env.items()},
+                "run": _command([fill_placeholders(word, known) for word in each.run], folder / (each.folder or "")),
+                "env": {key: fill_placeholders(text, known) for key, text in each.env.items()},
                 "ends": _ENDS[expected_ending(spec.checks.programs, program, name)],
             }
             for program, each in [*programs.items()][1:]
@@ -215,7 +215,7 @@ def _ready(name: str, section: ProgramSection, spec: ScenarioSpec) -> dict[str, 
 def _signal(section: StackSignalSection, known: Mapping[str, object]) -> dict[str, Any]:
     """A signal of a node as one of its program."""
     given = section.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
-    more = {} if section.message is None else {"message": filled(section.message, known)}
+    more = {} if section.message is None else {"message": fill_placeholders(section.message, known)}
     return {key: value for key, value in given.items() if key not in ("of", "unit")} | more
 
 

@@ -22,7 +22,7 @@ from fleet.addons.paper.cases import (
     late_s,
     recording_of,
     run_case,
-    tumbled,
+    tumble_time,
     vehicle_measures,
 )
 from fleet.addons.paper.claims import CORRECTED, NO_K_MAX, PRINTED, Claim, ClaimCheck, judge
@@ -85,9 +85,9 @@ def test_a_vehicle_that_tumbles_is_told_by_its_pitch() -> None:
 
 def test_tumbled_is_beyond_80_degrees_either_way() -> None:
     t = np.arange(4.0)
-    assert tumbled(t, np.radians([0.0, 79.9, -79.9, 0.0])) is None
-    assert tumbled(t, np.radians([0.0, 10.0, 80.1, 0.0])) == 2.0
-    assert tumbled(t, np.radians([0.0, -80.1, 0.0, 95.0])) == 1.0
+    assert tumble_time(t, np.radians([0.0, 79.9, -79.9, 0.0])) is None
+    assert tumble_time(t, np.radians([0.0, 10.0, 80.1, 0.0])) == 2.0
+    assert tumble_time(t, np.radians([0.0, -80.1, 0.0, 95.0])) == 1.0
 
 
 def test_a_failure_is_a_tumble_or_an_early_end() -> None:

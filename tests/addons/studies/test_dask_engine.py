@@ -20,7 +20,7 @@ from small_scenario import SMALL, small
 from tool import invoke
 from waiting import wait_for
 
-from fleet.addons.studies.engine import LOST, DaskEngine, check_versions, dask_engine, need_extra, versions
+from fleet.addons.studies.engine import LOST, DaskEngine, check_versions, dask_engine, require_extra, versions
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import modules_of
 from fleet.addons.studies.one_run import Task
@@ -135,7 +135,7 @@ def test_no_scheduler_and_no_extra_are_said(monkeypatch: pytest.MonkeyPatch) -> 
         pass
     monkeypatch.setattr("fleet.addons.studies.engine.NEEDED", ("pandas", "no_such_library"))
     with pytest.raises(StudyError, match=r"studies need no_such_library: pip install 'uuv-fleet\[study\]'"):
-        need_extra()
+        require_extra()
     monkeypatch.setattr("fleet.addons.studies.engine._OF_CLUSTERS", ("no_such_library",))
     with pytest.raises(StudyError, match=r"a cluster needs no_such_library: .*\[cluster\]'"), dask_engine("tcp://x:1"):
         pass

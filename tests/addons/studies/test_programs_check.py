@@ -20,7 +20,7 @@ from fleet.addons.studies.sweep import check_names
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.result.verdict import Margin
 from fleet.scenario.loading import with_overrides
 from fleet.scenario.scenario import Scenario
@@ -34,7 +34,7 @@ def task(scenario: Scenario, *, bare: bool = False) -> Task:
 
 
 def test_a_program_that_fails_fails_the_run(module: Callable[[str], str]) -> None:
-    (verdict,) = [one for one in judged(talking(module, fails_at=50)).checks if one.failed]
+    (verdict,) = [one for one in run_loaded(talking(module, fails_at=50)).checks if one.failed]
     assert (verdict.check, verdict.asked, verdict.found) == ("programs", "none fails", FOUND)
     assert verdict.margin == Margin(-1, "programs", verdict.moment.at_s if verdict.moment else None)
     assert verdict.moment is not None and (verdict.moment.tick, verdict.moment.vehicles) == (50, [2])
@@ -42,7 +42,7 @@ def test_a_program_that_fails_fails_the_run(module: Callable[[str], str]) -> Non
 
 def test_the_check_is_there_only_when_one_has_failed(module: Callable[[str], str]) -> None:
     for changes, parameters in (((), {}), (("checks.programs=waived",), {"fails_at": 50})):
-        verdicts = judged(talking(module, *changes, **parameters)).checks
+        verdicts = run_loaded(talking(module, *changes, **parameters)).checks
         assert "programs" not in {one.check for one in verdicts}
         assert all(one.passed for one in verdicts)
     with pytest.raises(ScenarioError, match="has no effect without nodes"):

@@ -23,7 +23,7 @@ from fleet.addons.pictures.runs import Run, View, load
 from fleet.addons.pictures.time_series import formation
 from fleet.addons.pictures.track import _believed, _tracks, space, top
 from fleet.logs.open_log import open_log
-from fleet.recorder.scene.belief import NewestBeliefs, PlaceBelief, drawn_belief, ellipse
+from fleet.recorder.scene.belief import NewestBeliefs, PlaceBelief, belief_primitives, ellipse
 from fleet.recorder.scene.primitives import AreaShape, CrossShape, Primitive, plain
 from fleet.scenario.loading import load_scenario
 
@@ -95,8 +95,8 @@ def test_the_belief_of_a_vehicle_that_nobody_asks_is_not_shown_for_long(log: Pat
 
 
 def test_a_belief_that_is_no_number_is_not_drawn() -> None:
-    assert drawn_belief(1, PlaceBelief((nan, 0.0, 0.0), (1.0, 0.0, 1.0))) == []
-    (cross,) = drawn_belief(1, PlaceBelief.by_navigator((1.0, 0.0, 0.0), (nan,) * 10))  # that of a replayed error
+    assert belief_primitives(1, PlaceBelief((nan, 0.0, 0.0), (1.0, 0.0, 1.0))) == []
+    (cross,) = belief_primitives(1, PlaceBelief.by_navigator((1.0, 0.0, 0.0), (nan,) * 10))  # that of a replayed error
     assert isinstance(cross, CrossShape)
 
 
@@ -136,7 +136,7 @@ def test_page_and_movie_show_what_a_vehicle_believes_by_its_ranges(ranged: Path)
     for at_s in (19.9, 18.3):
         feed.seek(at_s)
         things = feed.picture.moving()
-        wanted = drawn_belief(3, by_ranges(ranged, 3, at_s)[0])
+        wanted = belief_primitives(3, by_ranges(ranged, 3, at_s)[0])
         assert len(wanted) == 2
         assert [one for one in things if one in wanted] == wanted
 

@@ -139,14 +139,14 @@ def test_no_two_draws_of_an_order_are_the_same(vehicles: int, monkeypatch: pytes
     assert s.undrawn.nemesis is not None
     for seed in range(10):
         asked.clear()
-        episodes.counted(s.undrawn.nemesis, s.ground, [seed])
+        episodes.count_episodes(s.undrawn.nemesis, s.ground, [seed])
         assert max(asked.values()) == 1
 
 
 def test_what_some_seeds_draw_is_counted_by_kind() -> None:
     s = moored("nemesis.watch=null")
     assert s.undrawn.nemesis is not None
-    kinds, faults = episodes.counted(s.undrawn.nemesis, s.ground, range(1, 61))
+    kinds, faults = episodes.count_episodes(s.undrawn.nemesis, s.ground, range(1, 61))
     assert kinds.total() == 60 * len(plan(s).begins) and set(kinds) == {"isolations", "splits", "mixed"}
     drawn = [moored(f"seed={seed}", "nemesis.watch=null").spec.faults for seed in range(1, 61)]
     assert faults == Counter(fault.kind.name for some in drawn for fault in some)

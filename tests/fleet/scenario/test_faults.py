@@ -228,7 +228,7 @@ from typing import Any
 
 from fleet.scenario import value_types as v
 from fleet.scenario.faults import of_motion
-from fleet.scenario.faults.kind import VehicleFault, Part, SomeVehicles, Strength, Surroundings, of_network, of_world
+from fleet.scenario.faults.kind import VehicleFaultKind, Part, SomeVehicles, Strength, Surroundings, of_network, of_world
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import TimedFault
 
@@ -237,7 +237,7 @@ class SquallKeys(SomeVehicles):
     force: v.Force = 0.0
 
 
-class SquallFault(VehicleFault):
+class SquallFault(VehicleFaultKind):
     """A push to the north, under which nothing is heard."""
 
     value = SquallKeys

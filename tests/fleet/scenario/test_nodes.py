@@ -14,7 +14,7 @@ import fleet
 from fleet.analysis.preflight import warnings
 from fleet.errors import FleetError, ScenarioError
 from fleet.execution.external_agents import refuse
-from fleet.execution.fault_request import RefusedError, checked_fault
+from fleet.execution.fault_request import RefusedError, check_fault
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.node_names import to_names, to_numbers
@@ -350,7 +350,7 @@ def test_a_wrong_selector_is_told_in_names(fault: dict[str, str], expected: str)
     programs = {"*": {"run": "x"}}
     assert expected in mistakes(programs=programs, faults=[{"at": "1 s"} | fault])
     with pytest.raises(RefusedError, match=re.escape(expected)):
-        checked_fault(fault, 1, scenario(programs=programs))
+        check_fault(fault, 1, scenario(programs=programs))
 
 
 @pytest.mark.parametrize(

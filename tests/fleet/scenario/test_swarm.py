@@ -9,7 +9,7 @@ from statistics import mean
 import pytest
 from small_scenario import read_back, small
 
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import load_scenario
@@ -18,7 +18,7 @@ from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import WORDS, NemesisPick
 from fleet.scenario.sections import liveness, nemesis_targets, swarm
 from fleet.scenario.sections.graph import neighbours, reachable
-from fleet.scenario.sections.nemesis import within_limit
+from fleet.scenario.sections.nemesis import keep_within_limit
 from fleet.scenario.sections.swarm import DrawnFault
 from netem.fault_kinds import WorldFaultKind
 
@@ -61,10 +61,10 @@ def test_what_is_drawn_is_a_list_before_the_run_and_makes_the_same_run() -> None
         seen |= {fault.kind.name for fault in s.spec.faults}
         again = read_back(s)
         assert again.undrawn.nemesis is None
-        result = judged(s)
+        result = run_loaded(s)
         assert result.status in ("pass", "check_failed"), result.reason
         if seed < 3:
-            assert judged(again).digest == result.digest
+            assert run_loaded(again).digest == result.digest
     assert seen == {*WORDS, "link"} - {"loss", "delay", "rate"}
 
 
@@ -168,7 +168,7 @@ def test_what_goes_beyond_is_left_out() -> None:
               fault("3 s", kill="2", **{"for": "9 s"}), fault("4 s", down="1->2"), fault("5 s", pause="3")]  # fmt: skip
 
     def kept(most: int | None, *own: FaultSection) -> list[bool]:
-        left = within_limit(most, faults, own)
+        left = keep_within_limit(most, faults, own)
         return [one in left for one in faults]
 
     assert kept(None) == [True] * 5

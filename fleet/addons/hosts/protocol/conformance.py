@@ -52,7 +52,7 @@ from netem.wire.messages import (
 # The bad input of `fleet protocol check`: payloads that a network has damaged, and bytes that are no message.
 
 
-def damaged(src: int, sent: int, eta: tuple[float, ...]) -> tuple[Delivery, ...]:
+def damaged_deliveries(src: int, sent: int, eta: tuple[float, ...]) -> tuple[Delivery, ...]:
     """A neighbour's payloads of a tick, and the same payloads after a damaging network. `eta`: the pose of who receives
     it [m, rad]; the neighbour is 5 m to its north.
     """
@@ -334,7 +334,9 @@ class Examination:
         eta, _ = self._state
         self._send_nav(begin + 1)
         self._silence(LATE, begin + 1, f"no answer to nav {begin + 1} before an rx that covers it")
-        self._send_inbox(damaged(self._neighbours[0] if self._neighbours else self._i + 1, begin, eta), more=True)
+        self._send_inbox(
+            damaged_deliveries(self._neighbours[0] if self._neighbours else self._i + 1, begin, eta), more=True
+        )
         self._silence(PARTS, begin + 1, "no answer while more of the inbox is to come")
         self._send_inbox()
         self._answer(begin + 1, DAMAGED)

@@ -253,7 +253,7 @@ def fields_of(cls: type[WireRecord | TimedFault]) -> dict[str, Field]:
 
 
 def _field(declared: inspect.Type) -> Field:
-    assert isinstance(declared, inspect.Metadata), "a field is declared with `about`"
+    assert isinstance(declared, inspect.Metadata), "a field is declared with `field_meta`"
     unit = (declared.extra or {})["unit"]
     meaning = (declared.extra_json_schema or {})["description"]
     return Field(_wire_type(declared.type), unit, meaning)

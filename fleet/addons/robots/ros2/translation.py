@@ -21,7 +21,7 @@ from fleet.addons.robots.ros2.mapping import (
     vehicle_of,
 )
 from fleet.addons.robots.ros2.types import RosTypes
-from fleet.logs.decoder import decoded, known_class
+from fleet.logs.decoder import decode_message, known_class
 from fleet.recorder.scene.primitives import NED
 from fleet.recorder.transforms import MAP
 
@@ -189,7 +189,7 @@ class Translation:
         if cls is None:
             return
         try:
-            message = decoded(cls, data)
+            message = decode_message(cls, data)
             found = vehicle_of(topic)
             made = self._of_fleet(topic, at_ns, message) if found is None else self._of_vehicle(*found, at_ns, message)
             yield from made

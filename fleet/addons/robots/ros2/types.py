@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from fleet.logs.table import need
+from fleet.logs.table import require
 
 DISTRIBUTIONS = ("humble", "jazzy", "kilted")
 USUAL = "jazzy"
@@ -25,7 +25,7 @@ _EVENT_INFO = "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client
 
 def types_of(distribution: str = USUAL) -> RosTypes:
     """The types of a distribution of ROS 2. Raises FleetError: the extra `ros2` is not installed."""
-    need("ROS 2", ("rosbags", "xxhash"), "ros2")
+    require("ROS 2", ("rosbags", "xxhash"), "ros2")
     return _types_of(distribution)
 
 

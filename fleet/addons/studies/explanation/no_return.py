@@ -24,7 +24,7 @@ from fleet.addons.studies.plan import run_key
 from fleet.addons.studies.row import Row
 from fleet.addons.studies.shrink import Tree, tree_of
 from fleet.analysis.verdicts import standing
-from fleet.execution.in_process import in_process
+from fleet.execution.in_process import start_in_process
 from fleet.execution.outcome import judge_run, settle
 from fleet.quantities import show_time, time_ns
 from fleet.recorder.journal import Journal
@@ -127,7 +127,7 @@ def remake(scenario: Scenario, progress: Callable[[float], None]) -> Rerun:
     check in Python cannot be made.
     """
     watch = _Watch(scenario, _every(scenario))
-    runner, log = in_process(scenario, watch), NoLog()
+    runner, log = start_in_process(scenario, watch), NoLog()
     watch.journal = journal = runner.journal
     result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)
     if broken := runner.to_end(lambda: progress(max(0, journal.written) / scenario.ticks)):

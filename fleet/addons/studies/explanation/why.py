@@ -309,7 +309,7 @@ def _faults(why: Why) -> Iterator[str]:
         yield f"no fault had begun by {why.at_s:g} s"
         return
     yield "faults"
-    room = table.shown(len(why.faults), _MOST_FAULTS)
+    room = table.shown_rows(len(why.faults), _MOST_FAULTS)
     shown = sorted(why.faults, key=lambda fault: (not fault.on, -fault.from_s))[:room]
     for fault in sorted(shown, key=lambda fault: fault.from_s):
         span = f"since {fault.from_s:g} s" if fault.on else f"{fault.from_s:g} to {fault.to_s:g} s"
@@ -355,7 +355,7 @@ def _gap(gap: Gap, why: Why) -> str:
 
 def _vehicles(why: Why) -> Iterator[str]:
     yield f"what each {'node had heard' if why.nodes else 'vehicle knew'} at {why.at_s:g} s"
-    room = table.shown(len(why.vehicles), _MOST_VEHICLES)
+    room = table.shown_rows(len(why.vehicles), _MOST_VEHICLES)
     for vehicle in why.vehicles[:room]:
         yield from _vehicle(vehicle, why)
     if len(why.vehicles) > room:

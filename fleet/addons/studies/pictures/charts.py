@@ -42,7 +42,7 @@ from fleet.addons.studies.pictures.marks import (
     room,
     scale,
     text,
-    used,
+    used_axes,
 )
 from fleet.addons.studies.pictures.points import (
     Cell,
@@ -72,7 +72,7 @@ def boxes(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale:
     label = axis_label(layout.dimensions[layout.axes[0]]) if layout.axes else ""
     height = rows * max(_ROW_IN * drawn.count + 0.55, text_width_pt(label, text_pt()) / 72.0 + 0.1) + 0.3
     figure, axes = panels(rows, columns, column_in() if columns == 1 else page_in(), height, share=False)
-    for k, ax, panel in used(axes, shown):
+    for k, ax, panel in used_axes(axes, shown):
         if quantity.kind == "difference":
             ax.axvline(0.0, color="0.45", linewidth=0.7, linestyle=(0, (4, 3)))
         drawn.scales(ax, log_scale, lacking=drawn.panel(ax, panel))
@@ -179,7 +179,7 @@ def curves(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale
     columns = columns_of(len(shown))
     rows = -(-len(shown) // columns)
     figure, axes = panels(rows, columns, column_in() if columns == 1 else page_in(), 2.1 * rows + 0.2, share=False)
-    for k, ax, panel in used(axes, shown):
+    for k, ax, panel in used_axes(axes, shown):
         if quantity.kind == "difference":
             limit(ax, 0.0)
         strips = 0
@@ -333,7 +333,7 @@ def heat(quantity: Quantity, layout: Layout, shown: Sequence[Panel], log_scale: 
         drawings.append(_widths(quantity, tables))
     for number, (of, norm, colours, label) in enumerate(drawings):
         part = axes[number * rows * columns : (number + 1) * rows * columns]
-        for k, ax, _ in used(part, shown):
+        for k, ax, _ in used_axes(part, shown):
             table = tables[k]
             image = [[np.nan if cell is None else of(cell.estimate) for cell in row] for row in table]
             found = np.array(image)

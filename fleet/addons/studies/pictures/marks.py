@@ -165,7 +165,7 @@ class Lacks:
         ]
 
 
-def used(axes: Sequence[Axes], shown: Sequence[Panel]) -> Iterator[tuple[int, Axes, Panel]]:
+def used_axes(axes: Sequence[Axes], shown: Sequence[Panel]) -> Iterator[tuple[int, Axes, Panel]]:
     """The axes that have a panel, with its title; the others are not seen."""
     for ax in axes[len(shown) :]:
         ax.set_visible(False)

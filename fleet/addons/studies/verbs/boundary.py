@@ -65,9 +65,9 @@ def boundary(
       fleet boundary paper --along 'network.period=100 ms..5 s' --per profile=paper,hardened --level 0.9
       fleet boundary studies/paper-20261122-101500
     """
-    from fleet.addons.studies.engine import need_extra
+    from fleet.addons.studies.engine import require_extra
 
-    need_extra()
+    require_extra()
     borders, modules, timeout_s = _opened(scenario, asked) or _prepared(scenario, asked, out, how)
     if borders.open():
         _run(borders, modules, timeout_s, how)

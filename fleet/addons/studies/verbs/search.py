@@ -83,9 +83,9 @@ def shrink(
             raise
     write_least(found.scenario, path)
     if json_is_asked():
-        from fleet.addons.studies.verbs.documents import less
+        from fleet.addons.studies.verbs.documents import shrink_document
 
-        print_document(less(found, scenario, path))
+        print_document(shrink_document(found, scenario, path))
     else:
         show_least(scenario, found, path)
 
@@ -263,7 +263,7 @@ def search(
             raise
     found = hunt.found
     again = f"fleet {'netem' if tried.nodes else 'run'} {scenario} --seed {found.seed}"
-    cli_junit.write(junit, found.name, junit_cases.of_search(found, hunt.kept, again))
+    cli_junit.write(junit, found.name, junit_cases.search_cases(found, hunt.kept, again))
     _print_search(found, hunt.least, check, hunt.path, hunt.kept)
     if found.scenario is not None:
         sys.exit(1)
@@ -413,11 +413,11 @@ def regress(
         found = regression.run(engine, lambda made: on_progress(made, of), engine.carry(modules))
     if accept:
         found = regression.accept(found)
-    cli_junit.write(junit, folder.name, junit_cases.of_regress(found))
+    cli_junit.write(junit, folder.name, junit_cases.regress_cases(found))
     if json_is_asked():
-        from fleet.addons.studies.verbs.documents import regressed
+        from fleet.addons.studies.verbs.documents import regress_document
 
-        print_document(regressed(folder, found))
+        print_document(regress_document(folder, found))
     else:
         _show_regressed(found)
     if accept:

@@ -83,9 +83,9 @@ def sweep(
     """
     if json_is_asked() and show_config:
         raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
-    from fleet.addons.studies.engine import need_extra
+    from fleet.addons.studies.engine import require_extra
 
-    need_extra()
+    require_extra()
     directory = study_directory(scenario, asked)
     if show_config:
         click.echo(_as_file(scenario, directory, asked), nl=False)
@@ -96,11 +96,11 @@ def sweep(
         store, spec, modules = *_opened(directory, asked), None
     shown = _columns(store, spec)
     _run(store, spec, modules, how)
-    cli_junit.write(junit, store.record.scenario, junit_cases.of_study(store))
+    cli_junit.write(junit, store.record.scenario, junit_cases.study_cases(store))
     if json_is_asked():
-        from fleet.addons.studies.verbs.documents import swept
+        from fleet.addons.studies.verbs.documents import sweep_document
 
-        print_document(swept(store, shown))
+        print_document(sweep_document(store, shown))
     elif how.quiet:
         click.echo(store.directory)
     else:

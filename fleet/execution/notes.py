@@ -16,7 +16,7 @@ from netem.wire.queues import Quota
 
 MOST_NOTES = 1000
 MOST_NAMES = 8  # of programs or nodes in one line
-_ALIKE = " (so did agent"  # begins what `folded` adds
+_ALIKE = " (so did agent"  # begins what `fold_notes` adds
 _AGENT = re.compile(r"\bagent (\d+)\b")
 
 

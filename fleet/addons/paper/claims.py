@@ -277,7 +277,9 @@ def _jump(o: Outcomes) -> Claim:
         first = each(o[name], "rho_first_step_mps")
         later = each(o[name], "rho_step_max_mps")
         checks += [
-            compare_with_others(o, PRINTED, asks, name, [theirs], "rho_first_step_mps", factor=HALF, form=".2f", unit="m/s"),
+            compare_with_others(
+                o, PRINTED, asks, name, [theirs], "rho_first_step_mps", factor=HALF, form=".2f", unit="m/s"
+            ),
             check_limit(PRINTED, f"{mine}: first step of rho below {JUMP_MPS} m/s", first, JUMP_MPS,
                     f"{show(first, '.2f')} m/s"),
             check_limit(PRINTED, f"{mine}: every later step below {JUMP_MPS} m/s", later, JUMP_MPS,

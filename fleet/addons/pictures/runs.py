@@ -136,8 +136,9 @@ def load(
     most_held: int = MOST_HELD,
     labels: Mapping[str, str] | Sequence[str] = (),
 ) -> list[Run]:
-    """Read logs, each with a name: `labels` as in `given_labels`, the others as in `labels_of`. Of each at most `most_held`
-    bytes are held at once. Raises LogReadError if one of them cannot be read; FleetError: a label is of none of them.
+    """Read logs, each with a name: `labels` as in `given_labels`, the others as in `labels_of`. Of each at most
+    `most_held` bytes are held at once. Raises LogReadError if one of them cannot be read; FleetError: a label is of none
+    of them.
     """
     given = given_labels(paths, labels)
     check_readable(paths)

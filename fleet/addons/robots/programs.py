@@ -211,8 +211,8 @@ class Programs:
         told = self._signals[state.node].values()
         lines = [(n, each.line, bool(each.count)) for n, each in enumerate(told) if each.line is not None]
         return {
-            "name": state.name, "node": node, "argv": [fill_placeholders(word, known) for word in section.run], "env": env,
-            "folder": section.folder or ".", "nice": section.nice, "signals": lines,
+            "name": state.name, "node": node, "argv": [fill_placeholders(word, known) for word in section.run],
+            "env": env, "folder": section.folder or ".", "nice": section.nice, "signals": lines,
             "log": str(self._log_of(state)),
             "line": _NEVER if ready.token or ready.key else ready.line, "port": ready.port, "after_ns": ready.after,
             "stop": section.stop.signal, "stop_within_ns": section.stop.within,

@@ -228,7 +228,8 @@ from typing import Any
 
 from fleet.scenario import value_types as v
 from fleet.scenario.faults import of_motion
-from fleet.scenario.faults.kind import VehicleFaultKind, Part, SomeVehicles, Strength, Surroundings, of_network, of_world
+from fleet.scenario.faults.kind import Part, SomeVehicles, Strength, Surroundings, VehicleFaultKind
+from fleet.scenario.faults.kind import network_fault, world_fault
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import TimedFault
 
@@ -249,8 +250,8 @@ class SquallFault(VehicleFaultKind):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         who = self.vehicles(values)
-        push = of_world(times, WorldFaultKind.WRENCH, who, (values.force, 0.0, 0.0, 0.0, 0.0))
-        return [push, of_network(times, "deaf", vehicles=who)]
+        push = world_fault(times, WorldFaultKind.WRENCH, who, (values.force, 0.0, 0.0, 0.0, 0.0))
+        return [push, network_fault(times, "deaf", vehicles=who)]
 
     def values_of_strength(self, strength: Strength) -> dict[str, str]:
         return {"force": f"{strength.between(1, 10):g} N"}

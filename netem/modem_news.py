@@ -90,13 +90,13 @@ def tell(modem: ModemEndpoint, event: Began | Unsent | SoundReached | Spoiled, b
     """Hand a piece of news to a modem. `begin_ns`: of tick 0 [CLOCK_MONOTONIC]."""
     match event:
         case Began():
-            modem.sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
+            modem.on_sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
         case Unsent():
-            modem.dropped(event.payload, event.cause)
+            modem.on_dropped(event.payload, event.cause)
         case SoundReached():
-            modem.reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
+            modem.on_reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
         case Spoiled():
-            modem.spoiled(event.cause, begin_ns + event.at_ns, event.level)
+            modem.on_spoiled(event.cause, begin_ns + event.at_ns, event.level)
 
 
 class ModemNews:

@@ -371,7 +371,7 @@ class Relay:
     def hand_to(self, modem: ModemEndpoint, due: DueMessage) -> None:
         """Hand a message that is due to a modem: its frame, or the news that it is damaged."""
         if (frame := self.frame_of(due)) is not None:
-            modem.heard(frame)
+            modem.on_heard(frame)
         elif self._news is not None:
             tell(modem, self._news.damaged(due.packet), self._begin_ns)
 

@@ -221,7 +221,7 @@ class Parts:
         return {i: vehicle_clock(clock, self.spec.seed, i) for i, clock in given if clock is not None}
 
     @cached_property
-    def ground(self) -> NemesisTargets:
+    def targets(self) -> NemesisTargets:
         """The parts of the scenario that a nemesis acts on."""
         nemesis = self.spec.nemesis
         if nemesis is not None and nemesis.mode is None and (nemesis.every is None or nemesis.for_ is None):
@@ -233,7 +233,7 @@ class Parts:
     @cached_property
     def explicit(self) -> ScenarioSpec:
         """The specification with the faults that its nemesis draws written out after its own."""
-        return self.spec if self.spec.nemesis is None else nemesis.explicit(self.ground)
+        return self.spec if self.spec.nemesis is None else nemesis.explicit(self.targets)
 
     @cached_property
     def faults(self) -> timeline.FaultPlan:

@@ -60,7 +60,7 @@ class Scenario:
         self.undrawn = _without_files(parts.spec, parts)  # with the nemesis in place of the faults that it drew
         self.reading, self.source = reading, source
         self.nodes = tuple(spec.nodes or ())  # names of robots that are not ours; empty: vehicles
-        self.ground = parts.ground  # what its nemesis acts on
+        self.targets = parts.targets  # what its nemesis acts on
         self.name, self.title, self.vehicles, self.seed = spec.name, spec.title, spec.vehicles, spec.seed
         self.tick_ns, self.duration_ns, self.stall_timeout_s = spec.tick, spec.duration, spec.stall_timeout / 1e9
         self.ticks = spec.duration // spec.tick

@@ -12,7 +12,7 @@ import pytest
 from netem.cause import Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.endpoint import HeardFrame, Level, ModemRequest, Sea, SentFrame, Sound
+from netem.endpoint import HeardFrame, Level, ModemChannel, ModemRequest, SentFrame, Sound
 from netem.faults import NetFault
 from netem.modem import AcousticConfig, Modem
 from netem.relay import Relay
@@ -38,25 +38,25 @@ class Listener:
     def listen(self) -> str:
         raise AssertionError
 
-    def begin(self, sea: Sea) -> None:
+    def begin(self, channel: ModemChannel) -> None:
         raise AssertionError
 
     def close(self) -> None:
         raise AssertionError
 
-    def sent(self, frame: SentFrame) -> None:
+    def on_sent(self, frame: SentFrame) -> None:
         self.told.append(("sent", frame.tag, ms(frame.at_ns), frame.airtime_ns // 10**6))
 
-    def dropped(self, tag: Any, cause: Cause) -> None:
+    def on_dropped(self, tag: Any, cause: Cause) -> None:
         self.told.append(("dropped", tag, cause))
 
-    def heard(self, frame: HeardFrame) -> None:
+    def on_heard(self, frame: HeardFrame) -> None:
         self.told.append(("heard", frame.src, frame.to, frame.payload, ms(frame.sent_ns), ms(frame.begin_ns)))
 
-    def reached(self, sound: Sound) -> None:
+    def on_reached(self, sound: Sound) -> None:
         self.told.append(("reached", ms(sound.begin_ns), ms(sound.end_ns)))
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         self.told.append(("spoiled", cause))
 
 
@@ -95,7 +95,7 @@ def told(
             relay.take(RobotMessage(src, MODEM, "modem/0", payload, at_ns, request))
         for due in list(relay.handed(at_ns)):
             if (frame := relay.frame_of(due)) is not None:
-                modems[due.dst].heard(frame)
+                modems[due.dst].on_heard(frame)
             relay.settle(due, at_ns, delivered=True)
     return {i: modem.told for i, modem in modems.items()}
 

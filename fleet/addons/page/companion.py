@@ -29,7 +29,7 @@ class PageOptions:
         "Open a page in the browser that shows the run; there you can also disturb it.")] = False  # fmt: skip
 
 
-class Page(Companion):
+class PageCompanion(Companion):
     """The page in the browser, served by a process beside the run."""
 
     options_type = PageOptions
@@ -53,7 +53,7 @@ class Page(Companion):
         click.echo(f"the run in the browser: {listener.address}", err=True)
         with closing(PageProcess(listener)) as page, closing(Browser(listener.address)) as browser:
             browser.open()
-            yield _PageCompanion(page)
+            yield _RunPage(page)
             stays = not (how.quiet or json_is_asked())
             if stays and sys.stdin.isatty() and sys.stderr.isatty():
                 click.echo("the page stays as it is; Ctrl-C ends it", err=True)
@@ -61,7 +61,7 @@ class Page(Companion):
                     page.wait()
 
 
-class _PageCompanion(RunCompanion):
+class _RunPage(RunCompanion):
     def __init__(self, page: PageProcess) -> None:
         self._page = page
 

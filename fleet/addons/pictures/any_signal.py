@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from fleet.addons.pictures.axes import MOST_NAMED, Get, draw_lines, finish, time_axes
 from fleet.addons.pictures.found_signal import FoundSignal, find_signal, plain_name, topic_of
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View, check_view
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES, draw_limits
 from fleet.addons.pictures.thresholds import age_limits, thresholds
 from fleet.errors import FleetError
@@ -32,7 +32,7 @@ _FEW_VALUES = 12  # whole numbers on an axis: then lines that would hide each ot
 _MOST_WORDS = 120  # characters of what a signal means
 
 
-def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
+def signals_of_checks(runs: Sequence[LoggedRun]) -> list[SignalName]:
     """The signals to draw if the user names none, at most MOST_UNASKED.
 
     A check names some of them, and a check in Python has read others from laws and plants. Moored vehicles add the
@@ -51,7 +51,7 @@ def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
     return [name for name in others if any(find_signal(run, name) for run in runs)][:MOST_UNASKED]
 
 
-def pictures_of_checks(runs: Sequence[Run]) -> list[str]:
+def pictures_of_checks(runs: Sequence[LoggedRun]) -> list[str]:
     """The pictures of those errors that checks are about, and of the ages."""
     specs = [run.scenario.spec for run in runs if run.scenario is not None]
     named = {
@@ -64,7 +64,7 @@ def pictures_of_checks(runs: Sequence[Run]) -> list[str]:
     return [*errors, *(["ages"] if age_limits(runs) else [])]
 
 
-def require_signal(runs: Sequence[Run], name: SignalName) -> None:
+def require_signal(runs: Sequence[LoggedRun], name: SignalName) -> None:
     """Raises FleetError: no log has this signal, or this vehicle."""
     if name.vehicle is not None:
         check_view(runs, View((name.vehicle,)))
@@ -79,8 +79,8 @@ def require_signal(runs: Sequence[Run], name: SignalName) -> None:
     raise FleetError(f"there is no signal {name.name}; {hint}")
 
 
-def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:
-    def make(runs: Sequence[Run], view: View) -> Figure:
+def picture(name: SignalName) -> Callable[[Sequence[LoggedRun], View], Figure]:
+    def make(runs: Sequence[LoggedRun], view: View) -> Figure:
         if name.vehicle is None:
             return draw(runs, view, name)
         return draw(runs, replace(view, vehicles=(name.vehicle,)), name._replace(vehicle=None))
@@ -93,12 +93,12 @@ def file_name(name: SignalName) -> str:
     return f"norm-{own}" if name.absolute else own
 
 
-def title(runs: Sequence[Run], name: SignalName) -> str:
+def title(runs: Sequence[LoggedRun], name: SignalName) -> str:
     found = next((one for run in runs if (one := find_signal(run, name)) is not None), None)
     return f"{name}: {found.meaning}" if found is not None and found.meaning else str(name)
 
 
-def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
+def draw(runs: Sequence[LoggedRun], view: View, name: SignalName) -> Figure:
     """A line per vehicle, whole numbers as steps; checks of the signal, and where it failed them. Raises NothingToDraw
     if no vehicle reports it.
     """
@@ -132,7 +132,7 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
     return figure
 
 
-def _known(run: Run, groups: Sequence[str] = GROUPS) -> list[str]:
+def _known(run: LoggedRun, groups: Sequence[str] = GROUPS) -> list[str]:
     return [
         f"{group}.{field}"
         for group in groups
@@ -143,7 +143,7 @@ def _known(run: Run, groups: Sequence[str] = GROUPS) -> list[str]:
 
 
 def _components(
-    runs: Sequence[Run], view: View, name: SignalName, found: FoundSignal
+    runs: Sequence[LoggedRun], view: View, name: SignalName, found: FoundSignal
 ) -> tuple[list[int | None], list[str]]:
     """Which components have an axis, and words on the others."""
     if name.absolute:
@@ -171,7 +171,7 @@ def _components(
 def _getter(name: SignalName, found: FoundSignal, k: int | None) -> Get:
     group = name.group
 
-    def get(run: Run, i: int) -> tuple[Array, Array] | None:
+    def get(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
         series = run.series(i, group, found.field)
         if series is None or series[1].dtype == object or (k is not None and series[1].shape[1] <= k):
             return None
@@ -189,7 +189,7 @@ def _whole(samples: Sequence[Array]) -> bool:
     return any(map(len, good)) and all((values == np.rint(values)).all() for values in good)
 
 
-def _shift(runs: Sequence[Run], view: View, samples: Sequence[Array]) -> dict[int, float] | None:
+def _shift(runs: Sequence[LoggedRun], view: View, samples: Sequence[Array]) -> dict[int, float] | None:
     """How far the line of each vehicle is moved, so that equal values are seen; None: not at all."""
     (run, *others) = runs
     vehicles = run.vehicles(view)
@@ -201,7 +201,7 @@ def _shift(runs: Sequence[Run], view: View, samples: Sequence[Array]) -> dict[in
 
 
 def _moved(get: Get, shift: dict[int, float]) -> Get:
-    def moved(run: Run, i: int) -> tuple[Array, Array] | None:
+    def moved(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
         series = get(run, i)
         return None if series is None else (series[0], series[1] + shift[i])
 

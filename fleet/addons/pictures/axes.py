@@ -18,7 +18,7 @@ from matplotlib.text import Annotation
 
 from fleet.addons.pictures.caption import text_width_pt, write_caption
 from fleet.addons.pictures.look import column_in, label_pt, legend_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View, first_words
 from fleet.addons.pictures.shades import MOST_CHARACTERS, shade, words
 from fleet.addons.pictures.style import HALO, NORMAL, STYLE_NAMES, STYLES, THIN, limit, panels
 from fleet.mcap.records import Array
@@ -30,7 +30,7 @@ _ROOM = 0.06  # of the axis: what a number needs
 COLOUR = "#a4001d"
 
 
-def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
+def draw_failures(axes: Sequence[Axes], runs: Sequence[LoggedRun]) -> list[str]:
     """A line across all axes at each moment, numbered above the first; returns what each number stands for."""
     begin, end = axes[0].get_xlim()
     by_time: dict[float, list[str]] = {}
@@ -227,11 +227,11 @@ FEW = 60  # samples that are shown as points too
 
 _RUN = 18  # characters of a run behind a fault
 
-Get = Callable[[Run, int], tuple[Array, Array] | None]
+Get = Callable[[LoggedRun, int], tuple[Array, Array] | None]
 
 
 def time_axes(
-    rows: int, runs: Sequence[Run], view: View, height: float | None = None, ratios: Sequence[float] | None = None
+    rows: int, runs: Sequence[LoggedRun], view: View, height: float | None = None, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
     """Axes above each other that share the time axis, at column width."""
     figure, axes = panels(rows, 1, column_in(), height or 1.3 * rows + 0.8, ratios)
@@ -239,13 +239,13 @@ def time_axes(
     return figure, axes
 
 
-def time_span(runs: Sequence[Run], view: View) -> tuple[float, float]:
+def time_span(runs: Sequence[LoggedRun], view: View) -> tuple[float, float]:
     """The time that is shown [s]."""
     return view.window or (min(run.log.begin for run in runs), max(run.log.end for run in runs) or 1.0)
 
 
 def finish(
-    figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], notes: Sequence[str] = (), columns: int = 1
+    figure: Figure, axes: Sequence[Axes], runs: Sequence[LoggedRun], notes: Sequence[str] = (), columns: int = 1
 ) -> None:
     """Shade the faults, name them above the first axis, label the time axis and put the words below everything.
 
@@ -271,7 +271,7 @@ def finish(
 def draw_lines(
     figure: Figure,
     panel: Sequence[tuple[Axes, Get]],
-    runs: Sequence[Run],
+    runs: Sequence[LoggedRun],
     view: View,
     log: bool = False,
     exact: bool = False,
@@ -338,14 +338,14 @@ def _draw_bands(
     return _outlier_styles(named), band_legend(len(reported), named)
 
 
-def colours_of_vehicles(runs: Sequence[Run], view: View) -> dict[int, str]:
+def colours_of_vehicles(runs: Sequence[LoggedRun], view: View) -> dict[int, str]:
     """The colour of each vehicle. Empty: there are too many lines; then those of several runs have the run's colour."""
     vehicles = sorted({i for run in runs for i in run.vehicles(view)})
     most = MOST_NAMED if len(runs) == 1 else min(MOST_NAMED, _MOST_LINES // len(runs))
     return vehicle_colours(vehicles) if len(vehicles) <= most else {}
 
 
-def entries_of_runs(runs: Sequence[Run], colours: Mapping[int, str]) -> list[Artist]:
+def entries_of_runs(runs: Sequence[LoggedRun], colours: Mapping[int, str]) -> list[Artist]:
     """Entries of a legend: each vehicle by its colour, and each run by its dashes. A word names the dashes, because a
     short sample of them shows little.
     """
@@ -378,7 +378,7 @@ def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, styl
     return around is not None
 
 
-def _series(run: Run, view: View, get: Get) -> dict[int, Series]:
+def _series(run: LoggedRun, view: View, get: Get) -> dict[int, Series]:
     found = {i: get(run, i) for i in run.vehicles(view)}
     return {i: clip_to_window(*one, view.window) for i, one in found.items() if one is not None}
 
@@ -444,7 +444,7 @@ def _with_runs(fault: FaultInterval, labels: Sequence[str]) -> FaultInterval:
     return fault._replace(id="f0", what=f"{what}{of}")
 
 
-def _shade(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
+def _shade(axes: Sequence[Axes], runs: Sequence[LoggedRun]) -> list[str]:
     whose: dict[FaultInterval, list[str]] = {}
     for run in runs:
         for fault in (*run.log.faults, *run.log.events):

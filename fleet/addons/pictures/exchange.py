@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from fleet.addons.pictures.axes import finish, legend_of, marks_legend, time_axes
 from fleet.addons.pictures.look import label_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View
 from fleet.addons.pictures.style import THIN, plain_decades
 from fleet.addons.pictures.thresholds import age_limits, draw_thresholds
 from fleet.logs.topic_names import link_topic
@@ -55,7 +55,7 @@ _MOST_LINKS = 100  # with a row among the ages; of more, the oldest have one
 _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
 
-def links_between(run: Run, view: View) -> list[Link]:
+def links_between(run: LoggedRun, view: View) -> list[Link]:
     """The directed links between the vehicles to show. Raises NothingToDraw if there are none, or the log is not one of
     ours.
     """
@@ -66,7 +66,7 @@ def links_between(run: Run, view: View) -> list[Link]:
     return found
 
 
-def fates_of(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
+def fates_of(run: LoggedRun, link: Link) -> tuple[Array, Array, Array, Array]:
     """(sent [s], due [s], fate, sequence) of every packet of a link; a corrupted one's fate is `corrupted`."""
     packets = run.log[link_topic(link)]
     if not len(packets):
@@ -87,7 +87,7 @@ def name_rows(ax: Axes, names: Sequence[str], size: float) -> None:
     ax.tick_params(axis="y", length=0, labelsize=size)
 
 
-def spacetime(runs: Sequence[Run], view: View) -> Figure:
+def spacetime(runs: Sequence[LoggedRun], view: View) -> Figure:
     """Vehicles over time, a line from each sending to the arrival; a lost message ends on its way with its mark."""
     (run,) = runs
     links = links_between(run, view)
@@ -164,7 +164,7 @@ def _about_the_worst(packets: dict[Link, tuple[Array, Array, Array, Array]], win
     return set(list(found)[:_MOST_VEHICLES])
 
 
-def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
+def _moment(run: LoggedRun, packets: dict[Link, tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
     """A window of some rounds: around the first fault, or the first loss, or in the middle."""
     sent = np.unique(np.concatenate([sent for sent, _, _, _ in packets.values()]))
     due = np.concatenate([due - sent for sent, due, _, _ in packets.values()])
@@ -179,7 +179,7 @@ def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) ->
     return begin, min(begin + width, run.log.end)
 
 
-def _life(ax: Axes, run: Run, i: int, row: int) -> None:
+def _life(ax: Axes, run: LoggedRun, i: int, row: int) -> None:
     absent = [
         (fault.begin, fault.end)
         for fault in run.log.faults
@@ -193,7 +193,7 @@ def _life(ax: Axes, run: Run, i: int, row: int) -> None:
     ax.plot([at, run.log.end], [row, row], color="0.55", linewidth=THIN, zorder=1)
 
 
-def peak_ages(run: Run, link: Link, edges: Array) -> Array:
+def peak_ages(run: LoggedRun, link: Link, edges: Array) -> Array:
     """The largest age [s] of information on a link in each interval between two edges [s]: see `netem.ages`.
 
     Only ticks that were started count; NaN where there is none, and in a run that went on from another until something
@@ -219,7 +219,7 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     return found * run.tick_s
 
 
-def mean_ages(run: Run, link: Link, edges: Array) -> Array:
+def mean_ages(run: LoggedRun, link: Link, edges: Array) -> Array:
     """The mean of the same over the ticks of each interval [s]."""
     arrived, heard = _arrivals(run, link)
     begins, _ = _first_ticks(run, edges)
@@ -240,7 +240,7 @@ def mean_ages(run: Run, link: Link, edges: Array) -> Array:
     return found
 
 
-def _arrivals(run: Run, link: Link) -> tuple[Array, Array]:
+def _arrivals(run: LoggedRun, link: Link) -> tuple[Array, Array]:
     """The ticks at which something arrived on a link, in order, and the newest tick that was heard of then."""
     sent, due, fate, _ = fates_of(run, link)
     good = fate == Cause.DELIVERED
@@ -250,7 +250,7 @@ def _arrivals(run: Run, link: Link) -> tuple[Array, Array]:
     return arrived[order], heard
 
 
-def _first_ticks(run: Run, edges: Array) -> tuple[Array, int]:
+def _first_ticks(run: LoggedRun, edges: Array) -> tuple[Array, int]:
     """The first tick from each edge [s] on, and the number of ticks that were started."""
     ticks = int(run.log.run.get("ticks", 0))
     count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
@@ -260,7 +260,7 @@ def _first_ticks(run: Run, edges: Array) -> tuple[Array, int]:
     return first, count
 
 
-def ages(runs: Sequence[Run], view: View) -> Figure:
+def ages(runs: Sequence[LoggedRun], view: View) -> Figure:
     """The oldest and the median link over time, and a row per link coloured by its age. Of each short interval the
     picture has the largest age, and of the median link the mean."""
     tables = [(run, links_between(run, view)) for run in runs]
@@ -320,7 +320,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     return figure
 
 
-def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
+def _bins(tables: Sequence[tuple[LoggedRun, Sequence[Link]]], span: float) -> int:
     """How many intervals: each holds a tick, and a whole tooth of the usual length, or each tooth many of them."""
     most = max(1, int(span / max(run.tick_s for run, _ in tables) + 1e-6))
     gaps = []

@@ -19,19 +19,19 @@ from fleet.addons.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.addons.pictures.page import (
     Block,
     Contents,
+    FoldedText,
     Heading,
-    Listing,
     Mark,
     PageImage,
+    Paragraph,
     SectionImages,
     Table,
-    Text,
     from_here,
     images,
     render,
     write_page,
 )
-from fleet.addons.pictures.runs import Run, View, first_words
+from fleet.addons.pictures.runs import LoggedRun, View, first_words
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES
 from fleet.logs.payload_kinds import KindCount, count_kinds
 from fleet.logs.run_name import begin_time, run_name
@@ -59,7 +59,7 @@ _OF_CHECKS = {
 _ELSE = ("formation", "error", "track", "links")  # what is looked at first where no check says more
 
 
-def telling(run: Run) -> list[str]:
+def telling(run: LoggedRun) -> list[str]:
     """Names of pictures, the most telling first: what failed checks look at, then what others do, then errors."""
     failed = [verdict for verdict in run.verdicts if not verdict.passed]
     passed = [verdict for verdict in run.verdicts if verdict.passed and verdict.signals]
@@ -84,7 +84,7 @@ MOST_ROWS = 40  # of a table of vehicles or links
 _ONLY_IF_ANY = ("duplicated", "in flight", "corrupted")  # columns that are left out where every link has a 0
 
 
-def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table:
+def side_by_side(runs: Sequence[LoggedRun], results: Sequence[Result | None]) -> Table:
     """A row per run: what one looks for first when runs are compared; None: the run has no result."""
     headings = (
         "run", "seed", "vehicles", "status", "checks passed", "slowest settle to 10 % [s]",
@@ -115,7 +115,7 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table
     return Table(headings, rows)
 
 
-def believed_errors(run: Run, vehicles: Iterable[str]) -> dict[str, float]:
+def believed_errors(run: LoggedRun, vehicles: Iterable[str]) -> dict[str, float]:
     """The last formation error of each vehicle that has to navigate, as it believes it [m]."""
     known = ((i, beliefs(run.log, int(i))) for i in vehicles)
     return {i: float(one.formation_norm[-1]) for i, one in known if one is not None}
@@ -315,14 +315,14 @@ class RunResult:
     digest: str
 
 
-def write(path: Path, runs: Sequence[Run], view: View, share: OnProgress = lambda _: None) -> None:
+def write(path: Path, runs: Sequence[LoggedRun], view: View, share: OnProgress = lambda _: None) -> None:
     """Write the page; `share` is called with the share of the pictures that is done. Raises FleetError if the place
     cannot be written; LogReadError if a log has gone meanwhile.
     """
     write_page(path, lambda: page(runs, view, share))
 
 
-def page(runs: Sequence[Run], view: View, share: OnProgress = lambda _: None) -> str:
+def page(runs: Sequence[LoggedRun], view: View, share: OnProgress = lambda _: None) -> str:
     results = [_result(run) for run in runs]
     names = [run_name(run.log.path) for run in runs]
     blocks: list[Block] = []
@@ -344,25 +344,25 @@ def page(runs: Sequence[Run], view: View, share: OnProgress = lambda _: None) ->
 
 
 def _section(
-    number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: OnProgress
+    number: int, run: LoggedRun, found: RunResult, kinds: Sequence[str], view: View, share: OnProgress
 ) -> list[Block]:
     log, scenario, result = run.log, run.scenario, found.result
     name, path = run_name(log.path), from_here(log.path)
     first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
     blocks: list[Block] = [Heading(name, 2, f"run-{number}")]
     if log.missing:
-        blocks.append(Text(f"The log is not whole: {log.missing}. It ends at {log.end:g} s.", "warn"))
+        blocks.append(Paragraph(f"The log is not whole: {log.missing}. It ends at {log.end:g} s.", "warn"))
     if scenario is not None and scenario.title:
-        blocks.append(Text(scenario.title))
-    blocks.append(Text(found.why_none, "warn") if result is None else Mark(result.passed, result.words))
+        blocks.append(Paragraph(scenario.title))
+    blocks.append(Paragraph(found.why_none, "warn") if result is None else Mark(result.passed, result.words))
     if first is not None:
         blocks.append(first)
     if result is not None:
-        blocks += [Heading("Verdicts"), *([Text(result.reason)] if result.reason else [])]
-        blocks.append(checks_table(result.checks) if result.checks else Text("No check was judged."))
+        blocks += [Heading("Verdicts"), *([Paragraph(result.reason)] if result.reason else [])]
+        blocks.append(checks_table(result.checks) if result.checks else Paragraph("No check was judged."))
     faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
     listed = Table(("fault", "from [s]", "to [s]", "what"), faults, "last")
-    blocks += [Heading("Faults"), listed if faults else Text("There was no fault.")]
+    blocks += [Heading("Faults"), listed if faults else Paragraph("There was no fault.")]
     if events := vehicle_events((event.what, event.begin) for event in log.events):
         rows = [(event.what, event.times, f"{event.first_s:.10g}") for event in events]
         blocks += [Heading("What happened to vehicles"), Table(("event", "times", "first at [s]"), rows)]
@@ -372,7 +372,7 @@ def _section(
         if (conditions := conditions_table(scenario)).rows:
             blocks += [Heading("Conditions of the links"), conditions]
         if note := conditions_note(scenario):
-            blocks.append(Text(note))
+            blocks.append(Paragraph(note))
     for heading, table in _tables(run, result):
         blocks += [Heading(heading), table]
     place = shlex.quote(str(path.parent if path.name == "run.mcap" else path))
@@ -380,11 +380,11 @@ def _section(
     blocks += [
         pictures,
         Heading("How to repeat it"),
-        Text(said),
-        Listing(f"fleet export {place} --scenario > again.yaml\nfleet {verb} again.yaml"),
+        Paragraph(said),
+        FoldedText(f"fleet export {place} --scenario > again.yaml\nfleet {verb} again.yaml"),
         Table((), sorted(log.run.items()), "words"),
     ]
-    return blocks + ([Listing(log.scenario_text, "scenario.yaml")] if log.scenario_text else [])
+    return blocks + ([FoldedText(log.scenario_text, "scenario.yaml")] if log.scenario_text else [])
 
 
 _REPEATED = (
@@ -398,7 +398,7 @@ _SENT_BY_OTHERS = (
 )
 
 
-def _facts(number: int, run: Run, found: RunResult) -> list[tuple[str, Any]]:
+def _facts(number: int, run: LoggedRun, found: RunResult) -> list[tuple[str, Any]]:
     name, path = run_name(run.log.path), from_here(run.log.path)
     facts = scenario_facts(run.scenario) if run.scenario is not None else []
     # The log holds simulated time only, so that it is the same each time.
@@ -413,7 +413,7 @@ def _facts(number: int, run: Run, found: RunResult) -> list[tuple[str, Any]]:
     return facts
 
 
-def _result(run: Run) -> RunResult:
+def _result(run: LoggedRun) -> RunResult:
     of_log = run.log.digest
     try:
         result = read_result(run.log.path.parent)
@@ -427,7 +427,7 @@ def _result(run: Run) -> RunResult:
     return RunResult(result, "", of_log)
 
 
-def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
+def _tables(run: LoggedRun, result: Result | None) -> list[tuple[str, Table]]:
     tables: list[tuple[str, Table]] = []
     reported = [i for i in run.log.vehicles if f"uuv/{i}/error" in run.log]
     if result and result.vehicles:
@@ -464,7 +464,7 @@ def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
     return tables
 
 
-def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
+def _from_log(run: LoggedRun) -> tuple[dict[str, Account], dict[str, LinkAge]]:
     ledger: dict[str, Account] = {}
     ages = Ages(run.log.links)
     tick_s = int(run.log.run.get("tick_ns", 0)) / 1e9
@@ -498,7 +498,7 @@ def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
 
 
 def _pictures(
-    kinds: Sequence[str], runs: Sequence[Run], view: View, share: OnProgress, first: Sequence[str] = ()
+    kinds: Sequence[str], runs: Sequence[LoggedRun], view: View, share: OnProgress, first: Sequence[str] = ()
 ) -> tuple[PageImage | None, SectionImages]:
     top, pictures = images(draw(kinds, runs, view, share), first)
     pictures.missing.extend(note for run in runs for note in run.notes)

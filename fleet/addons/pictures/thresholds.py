@@ -9,7 +9,7 @@ from typing import NamedTuple
 from matplotlib.axes import Axes
 
 from fleet.addons.pictures.look import label_pt
-from fleet.addons.pictures.runs import Run
+from fleet.addons.pictures.runs import LoggedRun
 from fleet.addons.pictures.shades import union
 from fleet.addons.pictures.style import HALO, NORMAL
 from fleet.scenario.schema.checks import EVERY, Below, Recovery
@@ -29,7 +29,7 @@ class Threshold(NamedTuple):
     asked: str  # such as `below 0.5 m`
 
 
-def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
+def thresholds(runs: Sequence[LoggedRun], error: str) -> list[Threshold]:
     """Those of the checks of all runs, each once. `error`: `formation` or `consensus`."""
     found: list[Threshold] = []
     for run in runs:
@@ -47,7 +47,7 @@ def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
     return list(dict.fromkeys(one for one in found if one.begin < one.end))
 
 
-def age_limits(runs: Sequence[Run]) -> list[Threshold]:
+def age_limits(runs: Sequence[LoggedRun]) -> list[Threshold]:
     """The ages [s] that the checks of all runs allow, each once."""
     found = []
     for run in runs:
@@ -60,7 +60,7 @@ def age_limits(runs: Sequence[Run]) -> list[Threshold]:
     return list(dict.fromkeys(one for one in found if one.begin < one.end))
 
 
-def _recoveries(check: Recovery, run: Run) -> list[Threshold]:
+def _recoveries(check: Recovery, run: LoggedRun) -> list[Threshold]:
     faults = run.log.faults
     allowed = check.below / 1e9
     found = []

@@ -24,7 +24,7 @@ from fleet.addons.pictures.axes import (
 )
 from fleet.addons.pictures.axes import bounds as draw_bounds
 from fleet.addons.pictures.beliefs import beliefs
-from fleet.addons.pictures.runs import Run, View, with_gaps
+from fleet.addons.pictures.runs import LoggedRun, View, with_gaps
 from fleet.addons.pictures.signal_limits import draw_limits
 from fleet.addons.pictures.style import (
     HEAVY,
@@ -45,7 +45,7 @@ _AT_LIMIT = 1.0 - 1e-6
 
 
 def component(group: str, name: str, k: int = 0) -> Get:
-    def get(run: Run, i: int) -> tuple[Array, Array] | None:
+    def get(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
         found = run.series(i, group, name)
         if found is None or found[1].shape[1] <= k:
             return None
@@ -54,18 +54,18 @@ def component(group: str, name: str, k: int = 0) -> Get:
     return get
 
 
-def consensus(runs: Sequence[Run], view: View) -> Figure:
+def consensus(runs: Sequence[LoggedRun], view: View) -> Figure:
     """|e_i| of each vehicle."""
     return _norm(runs, view, "e_norm", "consensus error $|e|$ [m]")
 
 
-def formation(runs: Sequence[Run], view: View) -> Figure:
+def formation(runs: Sequence[LoggedRun], view: View) -> Figure:
     """Distance of each vehicle from its desired position; below it what vehicles that navigate believe of it."""
     believed = any(beliefs(run.log, i) for run in runs for i in run.vehicles(view))
     return _norm(runs, view, "formation_norm", "formation error [m]", believed=believed)
 
 
-def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
+def _believed_formation(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
     known = beliefs(run.log, i)
     if known is None:
         return None
@@ -73,7 +73,7 @@ def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
     return t, values[:, 0]
 
 
-def _norm(runs: Sequence[Run], view: View, name: str, label: str, *, believed: bool = False) -> Figure:
+def _norm(runs: Sequence[LoggedRun], view: View, name: str, label: str, *, believed: bool = False) -> Figure:
     figure, axes = time_axes(2, runs, view) if believed else time_axes(1, runs, view, 2.4)
     log = view.log_scale is not False
     panel = list(zip(axes, (component("error", name), _believed_formation), strict=False))
@@ -104,7 +104,7 @@ def _logarithmic(ax: Axes) -> None:
     plain_decades(ax.yaxis)
 
 
-def inputs(runs: Sequence[Run], view: View) -> Figure:
+def inputs(runs: Sequence[LoggedRun], view: View) -> Figure:
     """Force and moments as applied; heavy where the commanded ones are at their limit. A few vehicles have a row each,
     since their lines would hide each other.
     """
@@ -184,7 +184,7 @@ def _largest(artist: Line2D | Collection) -> float:
     return float(np.nanmax(np.abs(heights), initial=0.0))
 
 
-def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float, width: float) -> bool:
+def _heavy(ax: Axes, run: LoggedRun, view: View, i: int, k: int, limit: float, width: float) -> bool:
     found, commanded = run.series(i, "command", "applied"), run.series(i, "command", "tau")
     line = next((one for one in ax.get_lines() if one.get_gid() == f"{run.slug}-vehicle-{i}"), None)
     if found is None or commanded is None or line is None or not limit > 0.0:
@@ -205,7 +205,7 @@ def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float, width: 
     return True
 
 
-def _controls(run: Run, view: View) -> list[tuple[int, Control]]:
+def _controls(run: LoggedRun, view: View) -> list[tuple[int, Control]]:
     if run.scenario is None:
         return []
     return [(i, run.scenario.controls[i - 1]) for i in run.vehicles(view) if i <= run.scenario.vehicles]

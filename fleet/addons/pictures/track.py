@@ -31,7 +31,7 @@ from fleet.addons.pictures.axes import (
 from fleet.addons.pictures.beliefs import beliefs
 from fleet.addons.pictures.caption import write_caption
 from fleet.addons.pictures.look import column_in, label_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View, first_words
 from fleet.addons.pictures.style import NORMAL, STYLES, THIN
 from fleet.mcap.records import Array
 from fleet.palette import COLOURS
@@ -63,7 +63,7 @@ class BelievedWay(NamedTuple):
     ellipses: list[AreaShape]
 
 
-def believed_way(run: Run, i: int, colour: str, view: View) -> BelievedWay | None:
+def believed_way(run: LoggedRun, i: int, colour: str, view: View) -> BelievedWay | None:
     """The beliefs of vehicle i in the window of a picture; None: it knew where it was, or the log has no beliefs."""
     known, state = beliefs(run.log, i), f"uuv/{i}/state"
     if known is None or state not in run.log or not len(run.log[state]):
@@ -120,7 +120,7 @@ class Happening(NamedTuple):
     position: Array  # m, NED
 
 
-def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) -> list[Happening]:
+def happenings(run: LoggedRun, view: View, tracks: Mapping[int, tuple[Array, Array]]) -> list[Happening]:
     """The events of the vehicles in a picture, in the order of time. `tracks`: times [s] and positions (samples, 3) [m,
     NED] of each vehicle.
     """
@@ -166,7 +166,7 @@ def directions(positions: Array) -> list[tuple[Array, float]]:
     return found
 
 
-def places(run: Run, view: View) -> dict[int, Array]:
+def places(run: LoggedRun, view: View) -> dict[int, Array]:
     """Where each vehicle should be at the end of the picture [m, NED]."""
     if run.scenario is None:
         return {}
@@ -195,7 +195,7 @@ _DOTS: dict[str, Any] = {"s": 1.5, "linewidths": 0, "zorder": 2, "gid": "ends"}
 class VehicleTrack(NamedTuple):
     """A vehicle's way, and how it is drawn."""
 
-    run: Run
+    run: LoggedRun
     vehicle: int
     t: Array  # s
     positions: Array  # (samples, 3) [m, NED]
@@ -203,7 +203,7 @@ class VehicleTrack(NamedTuple):
     style: Any
 
 
-def top(runs: Sequence[Run], view: View) -> Figure:
+def top(runs: Sequence[LoggedRun], view: View) -> Figure:
     """North over east, to scale."""
     tracks, entries = _tracks(runs, view)
     wanted = [places(run, view) for run in runs]
@@ -298,7 +298,7 @@ def _believed(tracks: list[VehicleTrack], view: View) -> list[BelievedWay]:
     return [way for way in found if way is not None]
 
 
-def space(runs: Sequence[Run], view: View) -> Figure:
+def space(runs: Sequence[LoggedRun], view: View) -> Figure:
     """East, north and depth; east and north have one scale, and it is said how much larger that of depth is."""
     tracks, entries = _tracks(runs, view)
     standing = _standing(runs, view)
@@ -419,7 +419,7 @@ def exaggeration(across: float, deep: float) -> int:
     return max((f for f in _EXAGGERATIONS if f * deep <= 0.6 * across), default=1)
 
 
-def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[Artist]]:
+def _tracks(runs: Sequence[LoggedRun], view: View) -> tuple[list[VehicleTrack], list[Artist]]:
     found: list[VehicleTrack] = []
     for run in runs:
         for i in run.vehicles(view):
@@ -448,7 +448,7 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[A
     return [track._replace(colour=of.get(track.vehicle, GREY)) for track in found], entries
 
 
-def _worst(run: Run, shown: Sequence[int]) -> list[int]:
+def _worst(run: LoggedRun, shown: Sequence[int]) -> list[int]:
     errors = {i: run.series(i, "error", "formation_norm") for i in shown}
     known = {i: (one[0], one[1][:, 0]) for i, one in errors.items() if one is not None}
     return sorted(outliers([spread(known)], log=True)) if known else []
@@ -481,7 +481,7 @@ def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:
     return low, high
 
 
-def _happened(runs: Sequence[Run], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
+def _happened(runs: Sequence[LoggedRun], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
     found = []
     for run in runs:
         own = {track.vehicle: track for track in tracks if track.run is run}
@@ -492,7 +492,7 @@ def _happened(runs: Sequence[Run], view: View, tracks: Sequence[VehicleTrack]) -
 
 def _explained(
     happened: Sequence[tuple[Happening, str]],
-    runs: Sequence[Run],
+    runs: Sequence[LoggedRun],
     standing: Sequence[Primitive],
     *,
     linked: bool,
@@ -519,12 +519,12 @@ def _explained(
     return entries + [mark(sign, what, markeredgecolor="black", markersize=5) for what, sign in signs.items()]
 
 
-def _finish(figure: Figure, runs: Sequence[Run], happened: Sequence[Happening], notes: Sequence[str]) -> None:
+def _finish(figure: Figure, runs: Sequence[LoggedRun], happened: Sequence[Happening], notes: Sequence[str]) -> None:
     cut = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
     write_caption(figure, [*notes, *captions(happened), *cut])
 
 
-def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
+def _shapes(run: LoggedRun, view: View) -> list[tuple[Array, Array]]:
     """Edges of the graph at a few moments: pairs of positions [m, NED]."""
     shown = run.vehicles(view)
     edges = sorted({(min(a, b), max(a, b)) for a, b in run.log.links if a in shown and b in shown})
@@ -542,7 +542,7 @@ def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
     return found
 
 
-def _standing(runs: Sequence[Run], view: View) -> list[Primitive]:
+def _standing(runs: Sequence[LoggedRun], view: View) -> list[Primitive]:
     scenes = [(SceneModel(run.scenario), view.window or (0.0, run.log.end)) for run in runs if run.scenario is not None]
     obstacles = dict.fromkeys(one for scene, _ in scenes for one in scene.obstacles)
     return [*obstacles, *(scene.course(*window) for scene, window in scenes)]

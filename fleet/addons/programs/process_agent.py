@@ -17,7 +17,7 @@ from random import Random
 from typing import Any, ClassVar, NamedTuple
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
-from agents.packets import BEGIN, EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
+from agents.packets import BEGIN, EVERYBODY, V4, Datagram, DatagramAssembly, Segment, node_address, read
 from fleet.addons.programs.address_book import AddressBook
 from fleet.addons.programs.attachment import attachment
 from fleet.addons.programs.helpers import helper_command
@@ -37,7 +37,7 @@ from fleet.addons.programs.modem_beside import ModemBeside, is_for_modem, modem_
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.shared_sockets import KINDS as SOCKET_KINDS
 from fleet.addons.programs.shared_sockets import SharedSockets
-from fleet.addons.programs.steering import Vehicle, navigation
+from fleet.addons.programs.steering import SteeredVehicle, navigation
 from fleet.addons.programs.streams import Streams
 from fleet.addons.programs.udp_ways import UdpWays
 from fleet.addons.programs.zenoh_messages import puts
@@ -310,14 +310,14 @@ class _Life:
         self._out: deque[bytes] = deque()
         # Fragments of a former life may still wait for the rest at others: a life that begins later has other numbers.
         self._queued, self._number = 0, Random(f"{config.seed}/{now_ns}").getrandbits(16) if now_ns else 0
-        self._fragments = Fragments()
+        self._fragments = DatagramAssembly()
         self.over = self._begun = False
         self._last_ns = 0
         self._config = config
         self._helper: int | None = None  # the family of the zenoh endpoint; None: nobody has asked for it
         self._wanted = any(_ENDPOINT in word for word in command)  # an endpoint; who names it is given it at once
         self._ready = False  # whether it listens
-        self.vehicle = Vehicle(config)
+        self.vehicle = SteeredVehicle(config)
         self.streams = Streams(
             config.id, lambda segment: self._put(segment.packed()), self._to_processes, self._unanswered
         )

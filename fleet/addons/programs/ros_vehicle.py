@@ -126,7 +126,7 @@ class Commands:
         self._subscription = self._node.create_subscription(self._types[new], self._topic, self._hear, qos)
 
 
-class Vehicle:
+class RosVehicle:
     """Tells where the vehicle is, and hears what it is to do."""
 
     def __init__(self, number: int) -> None:
@@ -165,7 +165,7 @@ def main() -> None:
     for name in ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"):
         os.environ.pop(name, None)
     rclpy.init(args=sys.argv)
-    vehicle = Vehicle(int(sys.argv[1]))
+    vehicle = RosVehicle(int(sys.argv[1]))
     threading.Thread(target=vehicle.tell, daemon=True).start()
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(vehicle.node)

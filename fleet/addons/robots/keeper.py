@@ -66,8 +66,8 @@ class Keeper:
         self.stopping = False
         self._out = bytearray()
         self._selector = selectors.DefaultSelector()
-        self._programs = [Program(self, values) for values in programs]
-        self._by_pid: dict[int, Program] = {}
+        self._programs = [KeptProgram(self, values) for values in programs]
+        self._by_pid: dict[int, KeptProgram] = {}
         self._commands = b""
         self._marked_ns = 0
         self._waits = Waits()
@@ -102,7 +102,7 @@ class Keeper:
         """Tell the console something. What does not fit into the pipe waits here, and holds up no program."""
         self._out += json.dumps(values).encode() + b"\n"
 
-    def began(self, program: Program, output: int) -> None:
+    def began(self, program: KeptProgram, output: int) -> None:
         """Read what a program prints, and notice its end."""
         self._by_pid[program.process.pid] = program
         self._selector.register(output, selectors.EVENT_READ, program.read)
@@ -174,7 +174,7 @@ class Waits:
         self._trees: dict[str, list[int]] = {}  # by node
         self._known: dict[tuple[int, int], tuple[int, int]] | None = None  # by process and thread: waited [ns], slices
 
-    def look(self, programs: list[Program]) -> dict[str, int]:
+    def look(self, programs: list[KeptProgram]) -> dict[str, int]:
         """By node of which some thread ran since the last look: the longest that one of them has waited [ns]."""
         now = monotonic_ns()
         if now < self._next_ns:
@@ -211,7 +211,7 @@ def _threads(pids: list[int]) -> Iterator[tuple[tuple[int, int], tuple[int, int]
                 yield (pid, int(thread)), (waited_ns, slices)
 
 
-class Program:
+class KeptProgram:
     """One program, life after life."""
 
     def __init__(self, keeper: Keeper, values: dict[str, Any]) -> None:

@@ -66,7 +66,7 @@ class ProgramState:
         return self.pid is not None
 
 
-class Ended(NamedTuple):
+class ProgramChange(NamedTuple):
     """A program has ended by itself, or has begun again after that."""
 
     at_ns: int
@@ -111,7 +111,7 @@ class Programs:
         self._spoken: set[str] = set()  # the signals of which some node has told a number
         self.cpu_s = 0.0
         self._waits: dict[str, Histogram] = {}  # for a processor, by node
-        self.said: list[Ended] = []  # since the last frame
+        self.changes: list[ProgramChange] = []  # since the last frame
         self._over_ns = 2**63
         self._sessions: set[int] = set()  # of all programs that were started: each is the leader of one
         self._stubborn: list[str] = []  # programs that had to be killed when they were to stop
@@ -334,7 +334,7 @@ class Programs:
 
     def _starts(self, state: ProgramState, pid: int, at_ns: int) -> None:
         if state.ended:
-            self.said.append(Ended(at_ns, state.node, begins=True))
+            self.changes.append(ProgramChange(at_ns, state.node, begins=True))
         state.pid, state.since_ns, state.ready, state.ended = pid, at_ns, False, ""
         self._sessions.add(pid)
         self._forget(state.node)
@@ -359,7 +359,7 @@ class Programs:
         state.ended = f"{how} at {at_s:.2f} s"
         if self._is_fine(state):
             return
-        self.said.append(Ended(at_ns, state.node))
+        self.changes.append(ProgramChange(at_ns, state.node))
         self._print("\n".join([f"{state.name} {how} at t = {at_s:.2f} s", *self._tail_of(state, FEW_LINES)]))
 
     def _wanted(self, state: ProgramState) -> str:

@@ -328,8 +328,8 @@ class RelayRun:
         self._programs.see(report.watched)
         if report.until < 0:
             return False
-        for said in report.said:
-            self._messages.write(said)
+        for message in report.messages:
+            self._messages.write(message)
         end, until, m = report.closing, report.until, self._scenario.round_ticks
         if end is not None:
             self._journal.end_at(min(until, self._scenario.ticks))
@@ -409,9 +409,9 @@ class RelayRun:
             rows.append(VehicleFrame(i, place, (0.0,) * 5, (), STILL if command else (), command, (), (), (), ()))
         lives = tuple(
             Life(min(tick, max(0, -(-(at_ns - self._begin_ns) // tick_ns))), node, begins, False)
-            for at_ns, node, begins in programs.said
+            for at_ns, node, begins in programs.changes
         )
-        programs.said.clear()
+        programs.changes.clear()
         self._journal.frame(Frame(tick, False, lives, (), tuple(rows)))
 
     def _place(self, report: RelayReport) -> None:

@@ -40,11 +40,11 @@ def coverage(scenario: Scenario, seeds: Collection[int]) -> Covered | None:
     nemesis = scenario.undrawn.nemesis
     if nemesis is None or nemesis.mode != "episodes":
         return None
-    plan, n = episodes.plan(nemesis, scenario.ground), scenario.vehicles
+    plan, n = episodes.plan(nemesis, scenario.targets), scenario.vehicles
     count = len(seeds) * len(plan.begins)
     cuts_off = nemesis.pick is None or any(pick.drawn == "partition" for pick in nemesis.pick)
     two, three = (episodes.chance(isolations, n, count) if cuts_off else None for isolations in (2, 3))
-    kinds, faults = (dict(found.most_common()) for found in episodes.count_episodes(nemesis, scenario.ground, seeds))
+    kinds, faults = (dict(found.most_common()) for found in episodes.count_episodes(nemesis, scenario.targets, seeds))
     return Covered(count, kinds, faults, plan.unit / 1e9, plan.origin, two, three)
 
 

@@ -81,7 +81,7 @@ def nemesis(parts: Parts, report: Report) -> None:
     else:
         _mode(nemesis, parts, report)
     most = most_faults(spec)
-    if (drawn := fault_count(nemesis, parts.ground)) + len(spec.faults) > most:
+    if (drawn := fault_count(nemesis, parts.targets)) + len(spec.faults) > most:
         key, pace = ("every", f", one every {show_time(nemesis.every)}") if nemesis.every else ("mean", "")
         message = f"{drawn} faults{pace}, expected at most {most} in a scenario"
         report.add(("nemesis", key), message, "make it rarer, or end it earlier with until")
@@ -145,10 +145,10 @@ def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
     if nemesis.mode == "episodes":
         _episodes(nemesis, parts, report)
         return
-    start, until = span(nemesis, parts.ground)
+    start, until = span(nemesis, parts.targets)
     end, key = until, "until"
     if nemesis.mode == "liveness":
-        end, key = heal_time(nemesis, parts.ground), "heal"
+        end, key = heal_time(nemesis, parts.targets), "heal"
         if end >= spec.duration:
             problem = f"{show_time(end)} is not before the end of the run, {show_time(spec.duration)}"
             report.add(("nemesis", key), problem, "heal the core earlier")
@@ -163,7 +163,7 @@ def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
 
 def _episodes(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
     """There is room for an episode, and each kind can be drawn."""
-    planned = episodes.plan(nemesis, parts.ground)
+    planned = episodes.plan(nemesis, parts.targets)
     if parts.spec.network.ideal:
         report.add(("nemesis", "mode"), "episodes need a network, and this one is ideal", "give the network a period")
     if not planned.begins:

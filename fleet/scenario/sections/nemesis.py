@@ -27,26 +27,26 @@ PURPOSE = "nemesis"
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 
-def explicit(ground: NemesisTargets) -> ScenarioSpec:
+def explicit(targets: NemesisTargets) -> ScenarioSpec:
     """The specification of a scenario with the faults that its nemesis draws written out after its own.
 
     With `mode: liveness` its checks judge the core. No id of a fault is one of the scenario's own.
     """
-    spec, nemesis = ground.spec, ground.spec.nemesis
+    spec, nemesis = targets.spec, targets.spec.nemesis
     if nemesis is None:
         return spec
     changes: dict[str, Any] = {"nemesis": None}
     match nemesis.mode:
         case "liveness":
-            drawn = liveness.faults(nemesis, ground)
-            changes["checks"] = liveness.core_checks(spec.checks, nemesis, ground)
+            drawn = liveness.faults(nemesis, targets)
+            changes["checks"] = liveness.core_checks(spec.checks, nemesis, targets)
         case "episodes":
-            drawn, triggers = episodes.draw(nemesis, ground)
+            drawn, triggers = episodes.draw(nemesis, targets)
             changes["triggers"] = [*spec.triggers, *triggers]
         case "swarm":
-            drawn = swarm.to_sections(swarm.draw(nemesis, ground), ground)
+            drawn = swarm.to_sections(swarm.draw(nemesis, targets), targets)
         case _:
-            drawn = _grid(spec, nemesis, ground.links)
+            drawn = _grid(spec, nemesis, targets.links)
     kept = keep_within_limit(nemesis.most_silent, drawn, spec.faults)
     return spec.model_copy(update=changes | {"faults": [*spec.faults, *kept]})
 
@@ -94,15 +94,15 @@ def _grid(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) ->
     return faults
 
 
-def fault_count(nemesis: NemesisSection, ground: NemesisTargets) -> int:
+def fault_count(nemesis: NemesisSection, targets: NemesisTargets) -> int:
     """How many faults a nemesis draws, at most."""
     if nemesis.mode is None:
-        return len(_times(nemesis, ground.spec))
+        return len(_times(nemesis, targets.spec))
     if nemesis.mode == "episodes":
-        return episodes.MOST_FAULTS * len(episodes.plan(nemesis, ground).begins)
-    until = liveness.heal_time(nemesis, ground) if nemesis.mode == "liveness" else None
-    return sum(one.pieces for one in swarm.draw(nemesis, ground, until)) + (
-        ground.spec.vehicles if nemesis.mode == "liveness" else 0
+        return episodes.MOST_FAULTS * len(episodes.plan(nemesis, targets).begins)
+    until = liveness.heal_time(nemesis, targets) if nemesis.mode == "liveness" else None
+    return sum(one.pieces for one in swarm.draw(nemesis, targets, until)) + (
+        targets.spec.vehicles if nemesis.mode == "liveness" else 0
     )
 
 

@@ -19,7 +19,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.pictures.beliefs import beliefs
 from fleet.addons.pictures.report import believed_errors
-from fleet.addons.pictures.runs import Run, View, load
+from fleet.addons.pictures.runs import LoggedRun, View, load
 from fleet.addons.pictures.time_series import formation
 from fleet.addons.pictures.track import _believed, _tracks, space, top
 from fleet.logs.open_log import open_log
@@ -57,7 +57,7 @@ def log(alone: Alone) -> Path:
 
 
 @pytest.mark.parametrize("picture", [top, space])
-def test_the_tracks_show_them(picture: Callable[[list[Run], View], Figure], log: Path) -> None:
+def test_the_tracks_show_them(picture: Callable[[list[LoggedRun], View], Figure], log: Path) -> None:
     drawn = [str(artist.get_gid()) for artist in picture(load([log]), View()).axes[0].get_children()]
     assert drawn.count("ellipse-1") == drawn.count("ellipse-4") == 5
     assert "belief-3" in drawn
@@ -143,7 +143,7 @@ def test_page_and_movie_show_what_a_vehicle_believes_by_its_ranges(ranged: Path)
 
 @pytest.mark.parametrize("picture", [top, space])
 def test_the_tracks_show_what_a_vehicle_believes_by_its_ranges(
-    picture: Callable[[list[Run], View], Figure], ranged: Path
+    picture: Callable[[list[LoggedRun], View], Figure], ranged: Path
 ) -> None:
     runs = load([ranged])
     ways = {way.vehicle: way for way in _believed(_tracks(runs, View())[0], View())}

@@ -26,7 +26,7 @@ class RealtimeAgentProcess(AgentProcess):
         self._noted_flood = False
 
     def _listen(self, bus: Bus, key: str) -> Stamped:
-        self._stamped = bus.stamped(key)
+        self._stamped = bus.stamped_queue(key)
         return self._stamped
 
     def serve(self) -> End:

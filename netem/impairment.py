@@ -114,7 +114,7 @@ class LinkModel:
         corrupted = False
         if c.corrupt and payload and self._random("corrupt", c.corrupt_correlation, seq, copy) < c.corrupt:
             corrupted = True
-            payload = self.flipped(payload, seq, copy)
+            payload = self.flip_bit(payload, seq, copy)
         while leaving and leaving[0] <= now_ns:
             leaving.pop(0)
         if len(leaving) >= c.limit:
@@ -201,7 +201,7 @@ class LinkModel:
         state.loss_state = after
         return after in (LossState.LOST_IN_BURST, LossState.LOST_ALONE)
 
-    def flipped(self, payload: bytes, seq: int, copy: int) -> bytes:
+    def flip_bit(self, payload: bytes, seq: int, copy: int) -> bytes:
         """One bit of the payload turned over, always the same: its own inverse."""
         bit = bits(self._seed_in_use, "corrupted bit", *self._link, seq, copy) % (8 * len(payload))
         damaged = bytearray(payload)

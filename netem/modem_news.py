@@ -147,7 +147,7 @@ class ModemNews:
         while len(self._bursts) > _MOST_BURSTS:
             del self._bursts[next(iter(self._bursts))]
 
-    def arrived(self, packet: PendingPacket, places: Mapping[int, Place]) -> FrameArrived:
+    def arrival(self, packet: PendingPacket, places: Mapping[int, Place]) -> FrameArrived:
         """The news of a packet that has arrived whole. `places`: of the vehicles that are known [m, NED]."""
         src, dst, seq = packet.src, packet.dst, packet.seq
         end_ns = packet.sent_tick * self._tick_ns + packet.delay_ns
@@ -159,7 +159,7 @@ class ModemNews:
         away = None if here is None or there is None else tuple(b - a for a, b in zip(here, there, strict=True))[:3]
         return FrameArrived(src, seq, packet.copy, sent_ns, begin_ns, end_ns, self.level(src, seq, dst), away)
 
-    def damaged(self, packet: PendingPacket) -> Spoiled:
+    def damaged_frame(self, packet: PendingPacket) -> Spoiled:
         """The news of a packet that has arrived damaged: modems have checksums."""
         at_ns = packet.due_tick * self._tick_ns
         return Spoiled(Cause.SNR, at_ns, self.level(packet.src, packet.seq, packet.dst))

@@ -224,7 +224,7 @@ class Relay:
                 self._dry.enter(self.tick(message.at_ns), link, data, cut)
         self._out.now = None
 
-    def handed(self, now_ns: int) -> Iterator[DueMessage]:
+    def due_messages(self, now_ns: int) -> Iterator[DueMessage]:
         """Every message that is due, in that order. The caller says with `settle` what became of each, and counts in
         `late` how late it was handed over.
         """
@@ -364,7 +364,7 @@ class Relay:
         if due.packet.corrupted or self._news is None:
             return None
         request = due.message.what
-        return self._news.arrived(due.packet, self.places).frame(
+        return self._news.arrival(due.packet, self.places).frame(
             request.src, request.to, request.what, due.payload, request.head, self._begin_ns
         )
 
@@ -373,7 +373,7 @@ class Relay:
         if (frame := self.frame_of(due)) is not None:
             modem.on_heard(frame)
         elif self._news is not None:
-            tell(modem, self._news.damaged(due.packet), self._begin_ns)
+            tell(modem, self._news.damaged_frame(due.packet), self._begin_ns)
 
     def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""

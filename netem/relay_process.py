@@ -301,13 +301,13 @@ class RelayProcess:
     def _message(self, item: Any) -> None:
         message = robots.read(item)
         if message is None:
-            self._queries.ended(item.ticket, item.robot)
+            self._queries.on_robot_ended(item.ticket, item.robot)
             return
         self._inlets[message.src].release(len(message.payload))
         if message.kind == QUERY:
             self._queries.begin(message.what, len(message.payload))
         elif message.kind == REPLY:
-            self._queries.sent(message.what[0], message.src)
+            self._queries.add_replies(message.what[0], message.src)
         self._send_message(message)
 
     def _send_message(self, message: RobotMessage) -> None:
@@ -324,7 +324,7 @@ class RelayProcess:
                 what = name if isinstance(name, Unfit) else Unfit(PUT, "", 0)
                 self._refused[src] += count
                 if what.ticket is not None:
-                    self._queries.sent(what.ticket, src, count)
+                    self._queries.add_replies(what.ticket, src, count)
                 for _ in range(count):
                     message = RobotMessage(src, what.kind, what.key, b"", monotonic_ns(), to=what.to)
                     self._relay.refuse(message, what.size)
@@ -353,7 +353,7 @@ class RelayProcess:
                 self._rehearsal = None
 
     def _hand_over_of(self, relay: Relay) -> None:
-        for due in relay.handed(monotonic_ns()):
+        for due in relay.due_messages(monotonic_ns()):
             if due.message.kind in (DATAGRAM, PACKET):
                 at_ns = monotonic_ns()
                 relay.late.add(at_ns - due.due_ns)
@@ -385,7 +385,7 @@ class RelayProcess:
         if not robot.outlet.offer(due, due.due_ns, len(payload), hand):
             return False
         if message.kind == REPLY:
-            self._queries.arrived(message.what[0], message.src)
+            self._queries.on_reply(message.what[0], message.src)
         return True
 
     def _sent(self, due: DueMessage) -> bool:

@@ -237,7 +237,7 @@ class WorldProcess:
             elif isinstance(item, Round):
                 round_over = True
                 self._send_round(item)
-                self._turns.passed(item.tick)
+                self._turns.on_round_passed(item.tick)
         while (turn := self._turns.take()) is not None:
             self._send_navs(turn)
         with self._frames_lock:

@@ -144,7 +144,7 @@ class World:
         vehicle = self._vehicles[i]
         measured: Measured = (eta, nu, () if vehicle.plant is None else vehicle.plant.roll)
         if vehicle.navigation is not None:
-            measured = vehicle.navigation.believed(vehicle.state, measured[2])
+            measured = vehicle.navigation.belief(vehicle.state, measured[2])
         tick = vehicle.tick
         if self._noise is not None:
             measured = measure(measured, self._noise, self.config.seed, i, tick)

@@ -92,7 +92,7 @@ class TickOrder:
             queue.clear()
             queue.extend(still)
 
-    def passed(self, tick: int) -> None:
+    def on_round_passed(self, tick: int) -> None:
         """All vehicles have passed a round tick."""
         self._passed = tick
         early, self._early = self._early, []

@@ -64,7 +64,7 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         found = f"{sum(failures.values())}{who}"
         verdicts.append(Verdict("qp_infeasible", True, "reported", found, sum(failures.values()), None, "times"))
     if checks.ledger is not None:
-        unbalanced = journal.ledger.unbalanced()
+        unbalanced = journal.ledger.unbalanced_links()
         found = ", ".join(f"{scenario.link_name(link)} off by {n}" for link, n in unbalanced.items()) or "balanced"
         verdicts.append(_counted("ledger", len(unbalanced), 0, "links", "balanced", found))
     if checks.middleware_loss is not None:
@@ -177,7 +177,7 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
     what = "formation" if check.error == "formation" else "e"
     margin_m = _nearest_recovery(check, what, (span[0] * tick_s, span[1] * tick_s), journal)
-    at_s, vehicle, off_m, least_s = journal.metrics.settled(what, span, check.within, who)
+    at_s, vehicle, off_m, least_s = journal.metrics.find_settled(what, span, check.within, who)
     if at_s is None and disturbed is None and not journal.complete and (journal.written - end) * tick_ns < check.below:
         return _no_recovery(check, "there is still time")
     if vehicle == 0:

@@ -97,7 +97,7 @@ class RunningSignalCheck:
         """
         judge = self._safety or self._liveness
         assert judge is not None
-        passed, found, value, limit, unit = judge.found(now, over=over)
+        passed, found, value, limit, unit = judge.result(now, over=over)
         if self._asked.sometimes:
             words = judge.failure or found
             return Verdict(self.name, True, self.words, words, None, limit, unit, None, self.signals).of_sometimes(
@@ -199,7 +199,7 @@ class _Safety:
             return "none came" if over else ""
         return f"one came by {self._s(max(late))} s"
 
-    def found(self, now: int, *, over: bool) -> _Found:
+    def result(self, now: int, *, over: bool) -> _Found:
         asked, worst = self._asked, self._worst
         unit = "" if asked.unit == "1" else asked.unit
         limit = asked.condition.limit
@@ -230,7 +230,7 @@ class _Safety:
     def margin(self) -> Margin | None:
         if self._worst is None:
             return None
-        return self._margin.found(*((None, None) if self._longest is None else (self._longest[0], self._longest[2])))
+        return self._margin.margin(*((None, None) if self._longest is None else (self._longest[0], self._longest[2])))
 
     def _badness(self, value: float) -> float:
         condition = self._asked.condition
@@ -339,7 +339,7 @@ class _Liveness:
         asked = self._asked
         assert asked.within_ns is not None
         if not is_timed(asked):
-            return self._distance.found(counts=self._begin is None)
+            return self._distance.margin(counts=self._begin is None)
         if self.failure:
             return Margin(-self._late_ns / 1e9, "s", None)
         if self._slowest is None:
@@ -350,7 +350,7 @@ class _Liveness:
         at = f"{begin * self._tick_ns / 1e9:g} s"
         return f"the end of fault {self._whose} at {at}" if self._whose else at
 
-    def found(self, now: int, *, over: bool) -> _Found:
+    def result(self, now: int, *, over: bool) -> _Found:
         asked = self._asked
         assert asked.within_ns is not None
         limit = asked.within_ns / 1e9
@@ -422,7 +422,7 @@ class AlwaysMargin:
             best.popleft()
         return best[0][1] if self._since.setdefault(key, tick) <= first else None
 
-    def found(self, longest: float | None, at: int | None) -> Margin | None:
+    def margin(self, longest: float | None, at: int | None) -> Margin | None:
         """The margin so far, of the longest stretch of bad samples [ticks], which began at tick `at`."""
         asked = self._asked
         if is_timed(asked):
@@ -481,7 +481,7 @@ class EventuallyMargin:
             waits.append(min(self._best.values()))
         return min(waits, default=None)
 
-    def found(self, *, counts: bool) -> Margin | None:
+    def margin(self, *, counts: bool) -> Margin | None:
         """The least margin of all waits with a verdict; `counts`: the wait that goes on has one, too."""
         least = self._so_far(counts)
         return None if least is None else Margin(least[0], _unit(self._asked), least[1] * self._tick_s)

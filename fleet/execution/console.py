@@ -194,13 +194,13 @@ class Console:
             case EventKind.NOTE:
                 self._fleet.note(*data)
             case EventKind.EXIT:
-                if not self._fleet.ended(data):
+                if not self._fleet.on_process_ended(data):
                     self._explain(data)
             case EventKind.OPERATION:
                 self._answer_operator(*data)
             case EventKind.TOKEN:
                 i, alive = data
-                (self._fleet.registered if alive else self._fleet.unregistered)(i)
+                (self._fleet.on_token if alive else self._fleet.on_token_gone)(i)
             case EventKind.ROUTER_LOST:
                 at = self._fleet.now()
                 raise RunBroken(f"the link to the router at {data} has ended at {at}: closed, or silent for the lease")

@@ -179,7 +179,7 @@ def _serve(run: _Run) -> None:
     try:
         if run.publisher is not None and run.publisher.wait:
             run.line.print("waiting for a subscriber")
-            run.publisher.heard()
+            run.publisher.wait_for_subscriber()
         began = time.monotonic()
         with run.line:
             progress = ProgressLine(run.scenario, run.journal, run.line, lambda: run.runner.waiting)
@@ -224,7 +224,7 @@ def _report(run: _Run) -> None:
     runner, result = run.runner, run.result
     wall = Wall(in_process=run.in_process, startup_s=runner.started_s, run_s=run.wall_s - runner.started_s)
     if not run.in_process:
-        wall.processes, wall.per_process = run.hosting.used(run.scenario)
+        wall.processes, wall.per_process = run.hosting.processes_used(run.scenario)
     account_for(result, run.scenario, run.journal, run.log, runner, wall)
     if run.publisher is not None:
         result.published = Published(run.publisher.published, run.publisher.dropped)

@@ -127,9 +127,9 @@ class ExternalAgents:
     def note_ready(self, ready: Iterable[int]) -> None:
         """Record that the world heard these agents. The agents among them that hold their token have joined."""
         for i in sorted(set(ready) & self._awaited.keys() & self._present):
-            self.joined(i)
+            self.on_joined(i)
 
-    def joined(self, i: int) -> None:
+    def on_joined(self, i: int) -> None:
         if self._awaited.pop(i, None) is not None:
             self._print_line(f"agent {i} (external) has joined")
 
@@ -148,7 +148,7 @@ class ExternalAgents:
         """Whom the run waits for, in words. Raises RunBroken: they did not join within `most_s`."""
         names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
         names += f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
-        if failed := self._gateways.failed():
+        if failed := self._gateways.failure():
             raise RunBroken(failed)
         if waited_s > most_s:
             raise RunBroken(f"{names} did not join within {most_s:g} s; --join-timeout gives more time")

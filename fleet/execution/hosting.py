@@ -50,7 +50,7 @@ class Hosting:
             return ()
         return (int(number),) if kind == "agent" else self.members[int(number) - 1]
 
-    def used(self, scenario: Scenario) -> tuple[int, int]:
+    def processes_used(self, scenario: Scenario) -> tuple[int, int]:
         """How many processes of agents the run starts, and how many agents the fullest has."""
         alone = scenario.vehicles - len(scenario.external) - sum(map(len, self.members))
         return len(self.members) + alone, max(map(len, self.members), default=min(1, alone))

@@ -168,7 +168,7 @@ class Supervisor:
         planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 
-    def ended(self, exit_: Exit) -> bool:
+    def on_process_ended(self, exit_: Exit) -> bool:
         """Record that a process ended. False: the run cannot go on without it. If an agent died, the world decides the
         tick of its death.
         """
@@ -192,7 +192,7 @@ class Supervisor:
         self._gone.update(own)
         return True
 
-    def registered(self, i: int) -> None:
+    def on_token(self, i: int) -> None:
         """Record that an external agent's liveliness token appeared.
 
         A session whose link was cut links again by itself, with its token, but what it missed is lost. So an agent
@@ -203,7 +203,7 @@ class Supervisor:
         if self.begun and over >= 0:
             self._dismiss(i, over, 0, "its link had ended, and its life with it")
 
-    def unregistered(self, i: int) -> None:
+    def on_token_gone(self, i: int) -> None:
         """Record that an external agent's liveliness token disappeared. Raises RunBroken if the agent died, and the run
         does not go on without it.
         """
@@ -261,7 +261,7 @@ class Supervisor:
         for i in [i for i in self.starting if (i, self._incarnation[i]) in ready]:
             if i not in self.external.vehicles or self.external.present(i):
                 del self.starting[i]
-                self.external.joined(i)
+                self.external.on_joined(i)
 
     def _died(self, i: int, who: str, how: str, last: str) -> None:
         life, granted = self._incarnation[i], self.granted

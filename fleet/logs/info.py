@@ -57,7 +57,7 @@ def read_info(path: Path, on_progress: OnProgress = lambda _: None) -> Info:
         earliest = int(block.log_ns.min())
         first = earliest if first is None else min(first, earliest)
         last = max(last, int(block.log_ns.max()))
-        for record in reader.within(block, ["faults"]):
+        for record in reader.select(block, ["faults"]):
             held += len(record.data)
             if len(happened) < LOG_FAULTS.items and held <= LOG_FAULTS.bytes:
                 happened.append(record)

@@ -87,9 +87,9 @@ class LogReader:
     def of(self, topics: Collection[str]) -> Iterator[Record]:
         """Only the messages of these topics; the others are skipped quickly. Raises the same errors as iteration."""
         for block in self.blocks():
-            yield from self.within(block, topics)
+            yield from self.select(block, topics)
 
-    def within(self, block: Block, topics: Collection[str]) -> Iterator[Record]:
+    def select(self, block: Block, topics: Collection[str]) -> Iterator[Record]:
         """The messages of these topics in one block."""
         some = [number for number in np.unique(block.channel).tolist() if self.channels[number].topic in topics]
         if some:
@@ -160,7 +160,7 @@ class LogReader:
             numbers[item.id] = self._known[what] = number
         return item if item.id == numbers[item.id] else replace(item, id=numbers[item.id])
 
-    def gathered(self, most: int) -> Iterator[Block]:
+    def gather_blocks(self, most: int) -> Iterator[Block]:
         """The blocks of `blocks`, a few as one: `most` bytes of data, if each has fewer."""
         some: list[Block] = []
         size = 0

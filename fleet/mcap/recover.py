@@ -61,7 +61,7 @@ def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: boo
             gaps.append(found.messages)
             damaged = len(salvage.damage)
         for message in item.messages():
-            if not known and not copy.declared(message):
+            if not known and not copy.knows_channel(message):
                 known = True  # the chunk that declared it is damaged: the index repeats it
                 for declaration in salvage.declarations():
                     copy.take(declaration)
@@ -123,7 +123,7 @@ class Copy:
         self.last_ns = max(self.last_ns, message.log_ns)
         self._found.until_s = self.last_ns / 1e9
 
-    def declared(self, message: Message) -> bool:
+    def knows_channel(self, message: Message) -> bool:
         """Whether its channel is known."""
         return message.channel in self._channels
 

@@ -185,7 +185,9 @@ class Metrics:
         """How often the gain's optimisation failed, of each vehicle whose law counts that."""
         return {i: s.qp_failures for i, s in self.series.items() if self._vehicles[i].places.failures is not None}
 
-    def settled(self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None) -> Settled:
+    def find_settled(
+        self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None
+    ) -> Settled:
         """When `e` or `formation` of every vehicle, or of some, settled below a limit [m] in a span: first tick, behind
         the last.
         """

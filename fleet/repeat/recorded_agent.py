@@ -156,7 +156,7 @@ class _Reading:
         payload = message.payload
         if message.corrupted:
             model = LinkModel(self._scenario.conditions.get(link, PERFECT), self._scenario.seed, link)
-            payload = model.flipped(payload, message.seq, message.copy)
+            payload = model.flip_bit(payload, message.seq, message.copy)
         else:
             self._sure.add((src, message.seq))
         self.packets[src][message.seq] = record.publish_ns // self._tick_ns, payload

@@ -104,7 +104,7 @@ class LivePublisher:
             end(process, 0.0)
             raise FleetError(f"cannot write {self._observe}: {error.strerror}", status=3) from error
 
-    def heard(self) -> None:
+    def wait_for_subscriber(self) -> None:
         """Wait without limit until there is a subscriber to the journal or to a part of it. Raises FleetError: the
         process ended meanwhile."""
         if "heard" not in self._answer(None):

@@ -294,7 +294,7 @@ def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
         case "mistake":
             if path[-1] == "[key]":
                 path = path[:-1]
-                place, name = locate(root, path, key=True).shifted(context["column"]), dotted_path(path[:-1])
+                place, name = locate(root, path, key=True).shift(context["column"]), dotted_path(path[:-1])
             else:
                 place = text_place(root, path, context["column"])
             return place.problem(f"{_short(name)}: {context['message']}", context["hint"], name)

@@ -101,7 +101,7 @@ class RosBus(OpenBus):
 
         self._held.append(self._session.liveliness().declare_subscriber(key, receive, history=True))
 
-    def latched(self, key: str) -> Callable[[bytes, bytes], None]:
+    def latched_publisher(self, key: str) -> Callable[[bytes, bytes], None]:
         """A publisher that puts payload and attachment on a key, and keeps the last for subscribers that come later."""
         publisher = zenoh.ext.declare_advanced_publisher(
             self._session, key, cache=zenoh.ext.CacheConfig(1), publisher_detection=True

@@ -182,12 +182,12 @@ def test_the_table_gives_states_as_they_were_sampled_and_leaves_out_whom_it_drop
     table = NeighbourTable(scenario.agent_config(2), FullCodec())
     state = StateMessage(3, 5, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0))
     table.absorb([Delivery(30, 5, 3, 0, 0, encode(state))], 30)
-    table.heard(30)
-    assert table.seen() == [Seen(3, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.25)]
+    table.states_at(30)
+    assert table.sampled_states() == [Seen(3, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.25)]
     last = 5 + 100  # one second later
-    assert [heard.id for heard in table.heard(last)] == [seen.id for seen in table.seen()] == [3]
-    assert table.heard(last + 1) == ()
-    assert table.seen() == []
+    assert [heard.id for heard in table.states_at(last)] == [seen.id for seen in table.sampled_states()] == [3]
+    assert table.states_at(last + 1) == ()
+    assert table.sampled_states() == []
 
 
 def test_warnings_tell_what_cannot_be_kept_apart() -> None:

@@ -182,14 +182,14 @@ def exchanged(method: Method, seed: int, hardship: Hardship) -> list[list[tuple[
         asked = [nav(tick, true[i][0] + off[i][0], true[i][1] + off[i][1], SIGMA[i] ** 2, SPEED[i]) for i in (0, 1)]
         for i in alive:
             far = hypot(true[0][0] - true[1][0], true[0][1] - true[1][1]) + draw.gauss(0, 0.5)
-            state = StateMessage(i + 1, tick, both[i].located(asked[i]).eta[:3], (SPEED[i], 0.0, 0.0))  # type: ignore[arg-type]
+            state = StateMessage(i + 1, tick, both[i].locate(asked[i]).eta[:3], (SPEED[i], 0.0, 0.0))  # type: ignore[arg-type]
             data = payload.encode(both[i].message(state))
             if draw.random() >= hardship.loss:
                 due = tick + hardship.delay
                 under_way.append((1 - i, Delivery(due, due, i + 1, tick, 0, data, far, 0.5, tick)))
         for i in alive:
             both[i].absorb(asked[i], [heard for to, heard in under_way if (to, heard.due_tick) == (i, tick)])
-            x, y, nn, ne, ee = *both[i].located(asked[i]).eta[:2], *both[i].telemetry()[3:6]
+            x, y, nn, ne, ee = *both[i].locate(asked[i]).eta[:2], *both[i].telemetry()[3:6]
             dx, dy = x - true[i][0], y - true[i][1]
             found[i].append(((ee * dx * dx - 2 * ne * dx * dy + nn * dy * dy) / (nn * ee - ne * ne), nn + ee))
     return found
@@ -227,7 +227,7 @@ def test_a_vehicle_that_small_fixes_keep_as_sure_as_it_is_stays_an_aid(fixes: bo
     for k in range(6000):
         t = k * round_s
         variance = 0.2 * (1.001 if k % 10 else 1.0) if fixes else 1.0 + (0.035 * t) ** 2
-        localizer.located(nav(round(t / TICK_S), t, 0.0, variance))
+        localizer.locate(nav(round(t / TICK_S), t, 0.0, variance))
         if t > 100.0:
             assert localizer.message(state).fixed == fixes, t
 

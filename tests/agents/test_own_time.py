@@ -86,9 +86,9 @@ def test_a_range_comes_with_the_state_it_was_measured_with_and_stays_with_it() -
     agent = Agent(small().agent_config(2))
     ranged = Delivery(10, 9, 1, 0, 0, state(9), 12.5, 0.5, 8)
     agent.decide(nav(10), [ranged])
-    (heard,) = agent._neighbours.heard(11)
+    (heard,) = agent._neighbours.states_at(11)
     assert (heard.range_m, heard.range_sd_m) == (12.5, 0.5)
     agent.decide(nav(20), [Delivery(20, 19, 1, 1, 0, state(19))])
-    assert agent._neighbours.heard(21)[0].range_m is None
+    assert agent._neighbours.states_at(21)[0].range_m is None
     shown = to_own_clock(nav(10, 50.0), 10_000_000)
     assert deliveries_to_own_clock([ranged], shown)[0].range_tick == 13

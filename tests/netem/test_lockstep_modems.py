@@ -85,7 +85,7 @@ def of_relay(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]]:
                 begin = None if later is None else (tick + later) * TICK_NS
                 what = ModemRequest(src, src, 0, 7, payload, name, b"head", begin)
                 relay.take(RobotMessage(src, MODEM_MESSAGE, "modem", payload, now, what))
-        for due in list(relay.handed(now)):
+        for due in list(relay.due_messages(now)):
             relay.hand_to(ears[due.dst], due)  # type: ignore[arg-type]
             relay.settle(due, now, delivered=True)
     return {i: [*ears[i].news, *ears[i].frames] for i in PLACES}

@@ -93,7 +93,7 @@ def told(
             start_ns = None if start is None else BEGIN_NS + round(start * 1e6)
             request = ModemRequest(src, 100 + src, to, 0, payload, "t", b"head", start_ns)
             relay.take(RobotMessage(src, MODEM, "modem/0", payload, at_ns, request))
-        for due in list(relay.handed(at_ns)):
+        for due in list(relay.due_messages(at_ns)):
             if (frame := relay.frame_of(due)) is not None:
                 modems[due.dst].on_heard(frame)
             relay.settle(due, at_ns, delivered=True)
@@ -203,7 +203,7 @@ def test_a_frame_says_how_strong_it_is_where_it_is_heard_and_from_where_it_comes
     relay.places.update(PLACES)
     request = ModemRequest(1, 1, 0, 0, b"hello", "t", b"head")
     relay.take(RobotMessage(1, MODEM, "modem/0", b"hello", BEGIN_NS, request))
-    frames = {due.dst: relay.frame_of(due) for due in relay.handed(BEGIN_NS + 10**9)}
+    frames = {due.dst: relay.frame_of(due) for due in relay.due_messages(BEGIN_NS + 10**9)}
     for dst, range_m in ((2, 150.0), (3, 300.0)):
         frame = frames[dst]
         assert frame is not None and frame.head == b"head" and frame.away == (-range_m, 0.0, 0.0)

@@ -42,7 +42,7 @@ def test_every_nav_leaves_when_its_agent_can_answer_it(most: int, order: list[in
                 turns.ask(item.id, item.nav)
             elif isinstance(item, Round):
                 complete.add(item.tick)
-                turns.passed(item.tick)
+                turns.on_round_passed(item.tick)
         while (turn := turns.take()) is not None:
             for i, question in turn:
                 assert (question.tick - 1) // M * M in complete
@@ -73,7 +73,7 @@ def test_who_goes_on_between_rounds_keeps_its_turn() -> None:
     turns.release(2)
     turns.ask(2, nav(1))
     assert turns.take() is None
-    turns.passed(0)
+    turns.on_round_passed(0)
     assert turns.take() == [(1, nav(1))]
     turns.release(1)
     turns.ask(1, nav(2))
@@ -104,6 +104,6 @@ def test_who_ended_is_not_asked_any_more() -> None:
     assert [turns.take(), turns.take()] == [[(1, nav(0))], [(2, nav(0))]]
     for i in (1, 3, 4):
         turns.forget(i)
-    turns.passed(0)
+    turns.on_round_passed(0)
     assert not turns.holds(1)
     assert turns.take() is None

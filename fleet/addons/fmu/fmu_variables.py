@@ -92,7 +92,7 @@ def parse(data: bytes) -> Description:
         raise FmuError(f"has a {DESCRIPTION} that cannot be read: {str(error)[:200]}") from None
     except (LookupError, UnicodeError) as error:  # an encoding that is none
         raise FmuError(f"has a {DESCRIPTION} that cannot be read: {str(error)[:200]}") from None
-    return reader.finished()
+    return reader.finish()
 
 
 class _Description:
@@ -149,7 +149,7 @@ class _Description:
     def doctype(self, *_: object) -> None:
         raise _not_valid("it has a DOCTYPE, which FMI knows not")
 
-    def finished(self) -> Description:
+    def finish(self) -> Description:
         """All that was read, with the units of the types that variables refer to."""
         found = self._found
         if not found.variables:

@@ -244,9 +244,9 @@ class LinePort:
         for line in lines:
             if client not in self.clients:
                 return
-            self._do_for(client, partial(self._translator.line, client, line))
+            self._do_for(client, partial(self._translator.on_line, client, line))
         if client.unfinished and client in self.clients:
-            self._do_for(client, partial(self._translator.partial, client))
+            self._do_for(client, partial(self._translator.on_partial, client))
 
     def _do_for(self, client: Client, event: Callable[[], None]) -> None:
         """Do what a client wants. A defect of ours at an odd line costs it alone; the relay's log has it."""

@@ -55,7 +55,7 @@ class FoxgloveChannel(NamedTuple):
     schema_encoding: str
     schema_data: bytes
 
-    def made(self, context: foxglove.Context) -> foxglove.Channel:
+    def make(self, context: foxglove.Context) -> foxglove.Channel:
         schema = None
         if self.schema:
             schema = foxglove.Schema(name=self.schema, encoding=self.schema_encoding, data=self.schema_data)
@@ -109,7 +109,7 @@ class FoxgloveServer:
         self._told_ns = 0  # wall time
         self.sent = 0  # messages that somebody wanted
         self._context = context = foxglove.Context()  # the SDK itself does not hold it
-        self._channels = {number: channel.made(context) for number, channel in channels.items()}
+        self._channels = {number: channel.make(context) for number, channel in channels.items()}
         numbers: dict[int, list[int]] = {}  # the SDK has one channel for those of one topic and schema
         for number, made in self._channels.items():
             numbers.setdefault(made.id(), []).append(number)

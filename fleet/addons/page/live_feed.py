@@ -103,7 +103,7 @@ class LiveFeed:
         for topic, log_ns, data in beliefs:
             take(self.picture, topic, log_ns / 1e9, data)
         if told:
-            self.picture.told(told["at_s"], told["links"])
+            self.picture.set_link_ages(told["at_s"], told["links"])
         self._rate.update(time.monotonic_ns(), int(self.picture.at_s * 1e9))
         return bool(come or beliefs)
 
@@ -131,7 +131,7 @@ class LiveFeed:
                 for row in events if row["lasts"]
             ]  # fmt: skip
             self.picture.faults([*known["faults"], *lasting])
-            self.picture.happened(events)
+            self.picture.set_vehicle_events(events)
             self.checks = checks_so_far(self.ask("checks")["checks"])
         except RemoteError as error:
             if is_live(self._run):
@@ -178,7 +178,7 @@ class LiveFeed:
         """Bring these signals into the picture, and those that have a chart from the start, and no others. The latter
         need no browser that asks for them. So one that comes later, or comes back, sees their last minute. Raises
         KeyError: there is none of a name."""
-        names = {*names, *(name for charted in self.charted for name in self.signals.meant(charted))}
+        names = {*names, *(name for charted in self.charted for name in self.signals.names_of(charted))}
         self.signals.follow(names)
         self.picture.follow(names)
         topics = {topic for topic in self.signals.followed if link_of(topic) is None}  # those of links come already

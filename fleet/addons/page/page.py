@@ -367,14 +367,14 @@ class Viewer:
                 self._sent = self._seen = 0
                 self._told = -1
                 self.give({"history": feed.picture.history(), "checks": feed.checks,
-                           "commands": list(page.commands), "signals": feed.signals.offered()})  # fmt: skip
+                           "commands": list(page.commands), "signals": feed.signals.offers()})  # fmt: skip
                 page.new = True
                 await self._give_whole()
             case "seen":
                 self._seen = int(said["n"])
             case "charts" | "columns" as where:  # signals, of one vehicle or of all
                 names = [str(name) for name in said["names"]][:MOST_CHARTS]
-                self._follow(where, [one for name in names for one in feed.signals.meant(name)])
+                self._follow(where, [one for name in names for one in feed.signals.names_of(name)])
                 await self._give_whole()
             case "commands":  # of a vehicle that was chosen, where the run logs them; none: 0
                 self._follow("vehicle", [name for name in commands_of(int(said["i"])) if name in feed.signals.by_name])

@@ -25,7 +25,7 @@ class LiveSource:
     run: LiveRun | None  # None: there are only the observer's credentials, so it can only be watched
     awaited: bool = False  # it is about to begin, and its console will answer
 
-    def controlled(self) -> LiveRun:
+    def open_control(self) -> LiveRun:
         """The run, to be disturbed. Raises FleetError: it can only be watched."""
         if self.run is None:
             raise FleetError(

@@ -151,7 +151,7 @@ class ViewState:
             late_s = round(message.due - message.sent, 4)
             self._packets.append([self._numbers[link], round(message.sent, 4), late_s, fate])
 
-    def told(self, at_s: float, rows: Iterable[Mapping[str, Any]]) -> None:
+    def set_link_ages(self, at_s: float, rows: Iterable[Mapping[str, Any]]) -> None:
         """Take the time and how old the newest is that arrived on each link, as the console knows them. `rows`: src,
         dst and age_s, as `fleet status --all` has them."""
         if self._placed_s < 0.0:  # else time is that of the places
@@ -171,7 +171,7 @@ class ViewState:
             self.known_faults, self._events = known, events
             self.changes += 1
 
-    def happened(self, rows: Iterable[Mapping[str, Any]]) -> None:
+    def set_vehicle_events(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Take what happened to vehicles so far: rows with what, times and first_s, as the console counts it."""
         told = [VehicleEvents(row["what"], row["times"], row["first_s"]) for row in rows]
         if told != self._told:

@@ -461,12 +461,12 @@ class _Life:
         if kind == 83:  # S: a datagram
             self._send(process, data)
         elif kind in SOCKET_KINDS:
-            self.shared.told(process.pid, kind, data)
+            self.shared.on_message(process.pid, kind, data)
         elif kind != 76:  # L: one was lost, because its socket was full
             if kind == 0:
-                self.shared.ended(process)
+                self.shared.on_process_ended(process)
             self.streams.processes = self.processes.count
-            self.streams.told(process.pid, kind, data, self._book.agent, self.shared.is_held)
+            self.streams.on_message(process.pid, kind, data, self._book.agent, self.shared.is_held)
 
     def _send(self, process: Process, data: bytes) -> None:
         _, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)

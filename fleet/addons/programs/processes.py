@@ -352,7 +352,7 @@ class Processes:
         if kind == 72:  # H: the library is loaded
             process.began = True
             self._debug(process)
-            self._ports.ended(process.pid)
+            self._ports.on_process_ended(process.pid)
             if process.executions:
                 self._told(process, 0, b"")  # its sockets are not known to what it executes
             self._answer(process, b"J" + self._configuration(process))
@@ -416,7 +416,7 @@ class Processes:
         process.alive = False
         process.channel.close()
         self._told(process, 0, b"")
-        self._ports.ended(process.pid)
+        self._ports.on_process_ended(process.pid)
         self._processes.pop(process.pid, None)
         if process is self._first:
             self.status = self._popens[0].wait()

@@ -85,7 +85,7 @@ class Streams:
 
     # What the program's library tells.
 
-    def told(
+    def on_message(
         self,
         process: int,
         kind: int,

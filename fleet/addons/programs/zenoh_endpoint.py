@@ -251,13 +251,13 @@ class ZenohEndpoint:
                 reply = SimpleNamespace(ok=ok)
             answer(RobotMessage(src, REPLY, key, payload, now_ns, (ticket, reply)), payload)
             with self._lock:
-                self._queries.arrived(ticket, src)
+                self._queries.on_reply(ticket, src)
         elif kind == MessageKind.END:
             number, replies = rest
             with self._lock:
                 if (ticket := self._tickets.get(number)) is not None and src not in ticket.ended:
-                    self._queries.sent(ticket, src, replies)
-                    self._queries.ended(ticket, src)
+                    self._queries.add_replies(ticket, src, replies)
+                    self._queries.on_robot_ended(ticket, src)
         elif kind == MessageKind.TOKENS:
             with self._lock:
                 self._heard_ns[src] = now_ns

@@ -168,7 +168,7 @@ class Borders:
         rows = self.rows()
         return any(_Walk(self, number).missing(of) for number, of in enumerate(rows))
 
-    def found(self) -> list[Border]:
+    def estimates(self) -> list[Border]:
         """The present estimate of each border. Raises StudyError."""
         return [self._border(number, list(rows.values())) for number, rows in enumerate(self.rows())]
 
@@ -211,7 +211,7 @@ def find_borders(
     work = Work(
         store, engine, lambda now: on_progress(now, known=sum(walk.ended for walk in walks), of=len(walks)), inf
     )
-    with store.locked():
+    with store.lock():
         carried = engine.carry(modules)
         like = Task("", 0, 0, store.record.scenario, "", timeout_s, carried, keep=str(store.logs))
         rows = borders.rows()

@@ -90,7 +90,7 @@ class Row(Struct, kw_only=True):
         """A measure; NaN: the run does not have it."""
         return self.numbers.get(name, nan)
 
-    def compared(self, again: Row) -> Row:
+    def compare(self, again: Row) -> Row:
         """The row of a run that failed and was repeated, with a digest if either has one; if both disagree, a row
         without a result that says so.
 

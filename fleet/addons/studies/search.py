@@ -197,7 +197,7 @@ class _Search:
         most runs came to.
         """
         if self._times == 1:
-            return row.compared(again[0])
+            return row.compare(again[0])
         rows, known = [row, *again], self.found.kinds.keys()
         votes = {check: majority(rows, check)[1:] for check in self._fails(row) if check not in known}
         sure = {check: vote for check, vote in votes.items() if 2 * vote[0] > vote[1]}

@@ -330,7 +330,7 @@ class Boundary:
         Raises:
             StudyError: the study is damaged.
         """
-        return self._borders.found()
+        return self._borders.estimates()
 
     def write_picture(self, trust: bool = False, formats: Sequence[str] = ("png",)) -> Path:
         """Draw the borders, with what theory says of them, as `border.png` in the study's directory.

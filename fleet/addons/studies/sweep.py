@@ -192,7 +192,7 @@ def run_study(
     kept = store.record.rules.keep_logs if logs is None else logs
     work = Work(store, engine, on_progress, time.monotonic() + budget_s)
     signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
-    with store.locked():
+    with store.lock():
         like = Task("", 0, 0, store.record.scenario, "", timeout_s, modules, signals, keep=str(store.logs))
         with suppress(_BudgetSpent):
             _make_missing(work, like._replace(modules=engine.carry(modules)))
@@ -255,7 +255,7 @@ class Work:
 
 def _make_missing(work: Work, like: Task) -> None:
     store, progress = work.store, work.progress
-    needed, done = store.needed(), set[tuple[int, int]]()
+    needed, done = store.needed_seeds(), set[tuple[int, int]]()
     for row in store.rows():
         done.add((row.point, row.seed))
         progress.count(row.passed)
@@ -265,7 +265,7 @@ def _make_missing(work: Work, like: Task) -> None:
         if not made - done:  # or this would go on for ever
             raise StudyError(f"{store.directory} is damaged: runs that were made are missing all the same")
         done |= made
-        needed = store.needed(needed)
+        needed = store.needed_seeds(needed)
         progress.runs = sum(needed.values())
 
 

@@ -41,7 +41,7 @@ class Surroundings(NamedTuple):
     round_ticks: int = 1
     ticks: int = 1  # length of the run
 
-    def named(self, selector: str) -> tuple[Link, ...]:
+    def links_named(self, selector: str) -> tuple[Link, ...]:
         """The links of the graph that a selector names."""
         return select(parse_selector(selector), self.links)
 
@@ -159,7 +159,7 @@ class LinkFaultKind(FaultKind):
         return [values if isinstance(values, str) else values.links]
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
-        return [network_fault(times, self.name, around.named(self.selectors(values)[0]))]
+        return [network_fault(times, self.name, around.links_named(self.selectors(values)[0]))]
 
 
 class VehicleFaultKind(FaultKind):

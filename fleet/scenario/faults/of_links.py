@@ -39,7 +39,7 @@ class LinkFault(LinkFaultKind):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         return [
-            network_fault(times, "link", around.named(selector), condition=condition)
+            network_fault(times, "link", around.links_named(selector), condition=condition)
             for selector, condition in values.items()
         ]
 
@@ -92,7 +92,7 @@ class HoldFault(LinkFaultKind):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         back = (1.0,) if values.order == "reversed" else ()
-        return [network_fault(times, "hold", around.named(values.links), values=back)]
+        return [network_fault(times, "hold", around.links_named(values.links), values=back)]
 
 
 class DuplicateKeys(Section):
@@ -113,7 +113,7 @@ class DuplicateFault(LinkFaultKind):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         later = values.after // around.tick_ns
-        return [network_fault(times, "duplicate", around.named(values.links), ticks=later)]
+        return [network_fault(times, "duplicate", around.links_named(values.links), ticks=later)]
 
     def of_strength(self, target: str, strength: Strength) -> Any:
         return {"links": target, "after": f"{strength.later_ns} ns"}

@@ -177,7 +177,7 @@ class _Past:
         self._cut += [(end, cut)] if cut else []
         self._silent += [(end, i) for i in sorted(silent)]
 
-    def left(self, at: int) -> frozenset[Pair]:
+    def remaining_pairs(self, at: int) -> frozenset[Pair]:
         """The pairs that no fault cuts or silences at a time."""
         cut = {pair for end, pairs in self._cut if end > at for pair in pairs}
         return remaining_pairs(self.pairs, cut, {i for end, i in self._silent if end > at})
@@ -240,7 +240,7 @@ def _aimed(one: DrawnFault, targets: NemesisTargets, past: _Past) -> int | None:
 
 
 def _bridge(one: DrawnFault, targets: NemesisTargets, past: _Past) -> Pair | None:
-    found = bridges(past.left(one.at)) if one.aim == "bridge" else ()
+    found = bridges(past.remaining_pairs(one.at)) if one.aim == "bridge" else ()
     return found[_among(one, targets, _TARGET, len(found))] if found else None
 
 
@@ -278,7 +278,7 @@ def _partition(one: DrawnFault, targets: NemesisTargets, past: _Past) -> str:
     if who is not None and any(who in link for link in targets.links):
         return f"isolate:{who}"
     if (pair := _bridge(one, targets, past)) is not None:
-        there = reachable([pair[0]], neighbours(past.left(one.at) - {pair}))
+        there = reachable([pair[0]], neighbours(past.remaining_pairs(one.at) - {pair}))
         rest = [i for i in range(1, spec.vehicles + 1) if i not in there]
         if rest:
             return " / ".join(",".join(map(str, group)) for group in (sorted(there), rest))

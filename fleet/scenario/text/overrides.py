@@ -173,7 +173,7 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
     start = TextPlace(source, 1, 1)
     match = _LINK_WORD.fullmatch(source.text.partition("=")[0])
     assert match is not None
-    selector, place = match["selector"].strip('"'), start.shifted(match.start("selector"))
+    selector, place = match["selector"].strip('"'), start.shift(match.start("selector"))
     root, links = _links(root, start)
     if links is None:
         return root
@@ -207,10 +207,10 @@ def _with_word(source: Source, match: re.Match[str], text: str) -> Scalar:
     """A condition with the word that an override changes."""
     start, word, value = TextPlace(source, 1, 1), match["word"], source.text[match.end() + 1 :]
     try:
-        return Scalar(with_word(text, word, value), start.shifted(match.end() + 1))
+        return Scalar(with_word(text, word, value), start.shift(match.end() + 1))
     except TextError as error:
         column = match.start("word") if not value.strip() or word not in WORDS else match.end() + 1 + error.column
-        raise FaultWordsError(start.shifted(column).problem(error.message, error.hint)) from None
+        raise FaultWordsError(start.shift(column).problem(error.message, error.hint)) from None
 
 
 def _of_state(match: re.Match[str], name: str, links: Node | None, place: TextPlace) -> Node | None:

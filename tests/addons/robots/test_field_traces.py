@@ -58,7 +58,7 @@ def through(scenario: Scenario, count: int, every_ns: int) -> Iterator[tuple[int
     for n in range(count):
         at_ns = n * every_ns
         relay.take(RobotMessage(1, PUT, KEY, b'{"seq": %d}' % n, at_ns))
-        for due in relay.handed(at_ns):
+        for due in relay.due_messages(at_ns):
             yield due.due_ns, sample(due.payload, WALL_NS + due.message.at_ns)
 
 

@@ -118,9 +118,9 @@ def test_an_interrupted_study_goes_on_where_it_was(small_file: str, whole: Store
 def test_a_study_is_run_by_one_program_at_a_time(small_file: str, tmp_path: Path) -> None:
     store, _ = prepare(plan(small_file), tmp_path / "study")
     again = Store.open(tmp_path / "study")
-    with store.locked(), pytest.raises(StudyError, match="another fleet runs the study"), again.locked():
+    with store.lock(), pytest.raises(StudyError, match="another fleet runs the study"), again.lock():
         pass
-    with again.locked():
+    with again.lock():
         pass
 
 
@@ -131,7 +131,7 @@ def test_rows_of_another_program_are_kept(small_file: str, tmp_path: Path) -> No
     with pytest.raises(KeyboardInterrupt):
         run_study(first, Here(most=3), lambda progress: None)
     run_study(second, Here(), lambda progress: None)
-    assert (second.missing, len(second.done())) == (0, 8)
+    assert (second.missing, len(second.finished_runs())) == (0, 8)
 
 
 def test_a_run_without_a_frame_is_a_row(small_file: str, tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_a_point_that_may_have_no_more_seeds_is_told(small_file: str, tmp_path: 
     spec = StudySpec(small_file, until="pass ±1 %", most_seeds=3)
     store, _ = prepare(Plan(small_file, (CHECKS,), seeds=(1, 2)), tmp_path / "study", spec=spec)
     run_study(store, Here(), lambda progress: None)
-    assert (len(store.done()), store.missing, store.short()) == (3, 0, 1)
+    assert (len(store.finished_runs()), store.missing, store.short()) == (3, 0, 1)
 
 
 def test_no_run_begins_after_the_budget(small_file: str, tmp_path: Path) -> None:

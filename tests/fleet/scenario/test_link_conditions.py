@@ -56,13 +56,13 @@ def test_each_word_of_a_preset_has_its_source_and_the_record_has_the_words(name:
     preset = link_presets()[name]
     words = [word for word in preset.condition.split() if word in WORDS]
     assert words == list(preset.sources) and all(map(len, preset.sources.values()))
-    assert print_condition(preset.parsed()) == preset.condition
+    assert print_condition(preset.parse()) == preset.condition
     found = small(f"network.links={{1->2: {{preset: {name}}}}}")
-    assert found.conditions == {(1, 2): preset.parsed()}
+    assert found.conditions == {(1, 2): preset.parse()}
     assert f"1->2: {preset.condition}" in found.to_yaml()
     assert read_back(found) == found
     lossy = small(f"network.links={{1->2: {{preset: {name}}}}}", "network.links.1->2.loss=3 %")
-    assert lossy.conditions[1, 2] == replace(preset.parsed(), loss=0.03)
+    assert lossy.conditions[1, 2] == replace(preset.parse(), loss=0.03)
 
 
 # --- states -----------------------------------------------------------------

@@ -147,7 +147,7 @@ def write_bag(log: Path, folder: Path, share: OnProgress = lambda _: None) -> tu
             raise FleetError(f"{log} holds nothing that has a topic in ROS 2: it is no log of a run")
         judged = checks_judged(log)
         if judged is not None and translation.diagnostics.checks(judged["rows"]):
-            bag.add(translation.diagnosed(reader.last_ns))
+            bag.add(translation.diagnostics_message(reader.last_ns))
         bag.close()
     except BaseException:
         if bag is not None:

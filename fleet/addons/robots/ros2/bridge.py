@@ -55,7 +55,7 @@ class RosBridge:
 
     def checks(self, rows: list[dict[str, Any]]) -> None:
         if self._translation.diagnostics.checks(rows):
-            self._publish(self._translation.diagnosed(max(0, self.at_ns)))
+            self._publish(self._translation.diagnostics_message(max(0, self.at_ns)))
 
     def _publish(self, message: RosMessage) -> None:
         publisher = self._publishers[message.name]

@@ -74,7 +74,7 @@ class RosPublisher:
         self._gid = gid_of(token)
         self._sequence = 0
         self._plain = None if qos.transient_local else bus.plain(entity.key, drop=drop)
-        self._put = bus.latched(entity.key) if self._plain is None else self._plain.put
+        self._put = bus.latched_publisher(entity.key) if self._plain is None else self._plain.put
 
     @property
     def matched(self) -> bool:

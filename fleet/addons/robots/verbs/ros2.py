@@ -97,7 +97,7 @@ def _open_bridge(
     node = RosNode(bus, translation.maker.types, number, NODE)
     bridge = RosBridge(node, translation)
     if isinstance(controlled, LiveSource):
-        offer_control(node, controlled.controlled())
+        offer_control(node, controlled.open_control())
         line.print("warning: whoever reaches this router can disturb the run: services /fleet/inject and /fleet/heal")
     else:
         line.print("nodes can watch; --control would let them disturb a live run, too")

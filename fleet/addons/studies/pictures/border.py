@@ -42,7 +42,7 @@ def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
     """The borders of a study. `theories`: what theory says, border by border. Raises StudyError: there is too much for
     one picture, or the study is damaged."""
     runs = [borders.verdicts(rows.values()) for rows in borders.rows()]
-    every = [_One(*one) for one in zip(borders.found(), runs, theories, strict=True)]
+    every = [_One(*one) for one in zip(borders.estimates(), runs, theories, strict=True)]
     per = borders.store.record.axes[:-1]
     varied = [axis for axis in per if len({one.border.values[axis.key] for one in every}) > 1]
     across = next((axis for axis in varied if axis.unit is not None), None)

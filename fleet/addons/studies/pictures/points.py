@@ -175,7 +175,7 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
         read[PASSED].append(nan if row.passed is None else row.passed)
         for name in columns:
             read[name].append(row.number(name))
-    wanted = store.needed()
+    wanted = store.needed_seeds()
     needed = np.array([wanted[k] for k in range(len(keys))], int)
     most = max(int(needed.max(initial=0)), max(at, default=0) + 1)
     if not keys or len(keys) * most > MOST_RUNS:

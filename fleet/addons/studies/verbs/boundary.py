@@ -71,7 +71,7 @@ def boundary(
     borders, modules, timeout_s = _opened(scenario, asked) or _prepared(scenario, asked, out, how)
     if borders.open():
         _run(borders, modules, timeout_s, how)
-    found = borders.found()
+    found = borders.estimates()
     if not (json_is_asked() or how.quiet):
         _show(borders, found)
     picture = _picture(borders, modules, formats, how)

@@ -186,7 +186,7 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: WorkerOpti
 
 def _tell_if_all_are_the_same(store: Store) -> None:
     """Of a study whose runs differ by their seeds alone. The first two logs that differ end the reading."""
-    rows, runs = store.rows(details=True), sum(store.needed().values()) - store.missing
+    rows, runs = store.rows(details=True), sum(store.needed_seeds().values()) - store.missing
     digest = first.digest if len(store.points) == 1 and (first := next(rows, None)) else None
     if runs > 1 and digest is not None and all(row.digest == digest for row in rows):
         say(f"fleet: all {runs} runs have the same log: no draw of the seed matters", err=True)
@@ -194,7 +194,7 @@ def _tell_if_all_are_the_same(store: Store) -> None:
 
 def _announced(store: Store, missing: int) -> str:
     points, seeds, until = len(store.points), len(store.record.seeds), store.record.rules.until
-    made = sum(store.needed().values()) - missing
+    made = sum(store.needed_seeds().values()) - missing
     runs = f"at first, until {until}" if until else f"= {points * seeds} runs"
     return f"{store.directory}: {points} points x {seeds} seeds {runs}" + (f", {made} of them made" if made else "")
 

@@ -19,9 +19,10 @@ from typing import NamedTuple
 from fleet.addons.studies.bare_run import bare_verdicts, fits
 from fleet.addons.studies.branches import Branches, run_branches
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import MEASURES, Samples
+from fleet.addons.studies.measures import MEASURES
 from fleet.addons.studies.modules import NO_MODULES, Modules, folder_of
 from fleet.addons.studies.row import FAILED, PREFIX, CheckRow, Row
+from fleet.addons.studies.signal_measures import Samples
 from fleet.analysis.verdicts import PROGRAMS
 from fleet.cores import cores
 from fleet.errors import FleetError

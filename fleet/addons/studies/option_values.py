@@ -12,8 +12,8 @@ from math import inf, isfinite
 from typing import Any, Literal, TypedDict, TypeVar
 
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import check_name
 from fleet.addons.studies.plan import parse_seeds
+from fleet.addons.studies.signal_measures import check_name
 from fleet.addons.studies.spec import KeepLogs, Spec
 from fleet.addons.studies.stopping import check_until
 from fleet.addons.studies.values import axis, key_and_values, parse_axis, values_text

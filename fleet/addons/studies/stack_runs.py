@@ -22,10 +22,10 @@ from typing import IO
 import psutil
 from msgspec import structs
 
-from fleet.addons.studies.measures import Samples
 from fleet.addons.studies.modules import folder_of_checks
 from fleet.addons.studies.one_run import Task, failed_row, late, measured_row, scenario_of, whole_row
 from fleet.addons.studies.row import FAILED, LATE, Row, run_name
+from fleet.addons.studies.signal_measures import Samples
 from fleet.errors import FleetError, printable
 from fleet.execution.directory import SCENARIO
 from fleet.logs.open_log import open_log

@@ -14,17 +14,9 @@ from itertools import count, islice
 from typing import NamedTuple
 
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import (
-    CHECK,
-    LONGEST_TEXT,
-    STANDING,
-    MeasureColumn,
-    find_columns,
-    is_of_check,
-    is_signal,
-    parse_signal,
-)
+from fleet.addons.studies.measures import CHECK, STANDING, MeasureColumn, is_of_check
 from fleet.addons.studies.row import Row
+from fleet.addons.studies.signal_measures import LONGEST_TEXT, find_columns, is_signal, parse_signal
 from fleet.addons.studies.statistics import Estimate, median, pass_rate
 from netem.parsing import NUMBER
 

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, Unpack
 from fleet.addons.studies.borders import Border, Borders, OnProgress, border_plan, find_borders, prepare_borders, theory
 from fleet.addons.studies.engine import engine_of, require_extra
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import CHECK, find_columns
+from fleet.addons.studies.measures import CHECK
 from fleet.addons.studies.one_run import A_STUDY
 from fleet.addons.studies.option_values import BoundaryKeywords, SweepKeywords, keywords, takes
 from fleet.addons.studies.pictures.border import write_borders
 from fleet.addons.studies.plan import plan_of
 from fleet.addons.studies.row import FAILED
+from fleet.addons.studies.signal_measures import find_columns
 from fleet.addons.studies.spec import BoundarySpec, StudySpec
 from fleet.addons.studies.stack_runs import run_stack
 from fleet.addons.studies.statistics import Estimate, PairedComparison, compare

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from fleet.addons.studies.measures import JUDGED, MeasureColumn, columns_of_checks, find_columns
+from fleet.addons.studies.measures import JUDGED, MeasureColumn, columns_of_checks
 from fleet.addons.studies.row import LATE, PREFIX, Reached
+from fleet.addons.studies.signal_measures import find_columns
 from fleet.addons.studies.statistics import Estimate
 from fleet.addons.studies.stopping import estimate
 from fleet.addons.studies.store import Store

@@ -15,20 +15,13 @@ from pathlib import Path
 
 from fleet.addons.studies.engine import Engine, engine_of
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import (
-    STANDING,
-    MeasureColumn,
-    columns_of_checks,
-    find_columns,
-    is_signal,
-    measures_of_checks,
-    signal_columns_of,
-)
+from fleet.addons.studies.measures import STANDING, MeasureColumn, columns_of_checks
 from fleet.addons.studies.modules import NO_MODULES, Modules, modules_of
 from fleet.addons.studies.one_run import A_STUDY, Task
 from fleet.addons.studies.plan import Plan, Point, run_key
 from fleet.addons.studies.record import VERSION, BorderRecord, StudyRecord, axis_record
 from fleet.addons.studies.row import PREFIX, Row, sometimes_names
+from fleet.addons.studies.signal_measures import find_columns, is_signal, measures_of_checks, signal_columns_of
 from fleet.addons.studies.spec import KeepLogs, StudySpec
 from fleet.addons.studies.statistics import Estimate, pass_rate
 from fleet.addons.studies.stopping import parse_until, watched_measures

@@ -14,9 +14,10 @@ from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.failures import INDEX, FailureFolder, FoundFailure, Regression, make_least
 from fleet.addons.studies.modules import NO_MODULES
 from fleet.addons.studies.one_run import Task
-from fleet.addons.studies.rare import RareEvent, Splitting
+from fleet.addons.studies.rare import RareEvent
 from fleet.addons.studies.record import NAME, read_record
 from fleet.addons.studies.search import SearchResult, search
+from fleet.addons.studies.splitting import Splitting
 from fleet.execution.whole_run import run, run_loaded
 from fleet.scenario.loading import parse_scenario
 

@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 from small_scenario import SMALL, small
 
-from fleet.addons.studies.measures import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
 from fleet.addons.studies.plan import Plan
+from fleet.addons.studies.signal_measures import (
+    Samples,
+    find_columns,
+    measures_of_checks,
+    parse_signal,
+    signal_columns_of,
+)
 from fleet.addons.studies.spec import StudySpec
 from fleet.addons.studies.summary import DEFAULT
 from fleet.addons.studies.sweep import prepare

@@ -22,7 +22,9 @@ from fleet.addons.pictures.style import (
 from fleet.addons.studies.borders import Borders, Theory, theory
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.pictures.border import draw_borders
-from fleet.addons.studies.pictures.charts import boxes, curves, heat
+from fleet.addons.studies.pictures.boxes import boxes
+from fleet.addons.studies.pictures.curves import curves
+from fleet.addons.studies.pictures.heat_maps import heat
 from fleet.addons.studies.pictures.marks import (
     MOST_PANELS,
     layout_of,

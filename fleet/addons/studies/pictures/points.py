@@ -14,8 +14,9 @@ import numpy as np
 import yaml
 
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import CHECK, MEASURES, find_columns
+from fleet.addons.studies.measures import CHECK, MEASURES
 from fleet.addons.studies.plan import MOST_RUNS
+from fleet.addons.studies.signal_measures import find_columns
 from fleet.addons.studies.statistics import Estimate, median, pass_rate
 from fleet.addons.studies.store import Store
 from fleet.addons.studies.summary import DEFAULT

@@ -467,7 +467,8 @@ def rare(
       fleet rare my.yaml --check min_separation --repeats 50 --effort 200
     """
     from fleet.addons.studies.modules import modules_of
-    from fleet.addons.studies.rare import RareEvent, Splitting
+    from fleet.addons.studies.rare import RareEvent
+    from fleet.addons.studies.splitting import Splitting
     from fleet.addons.studies.study_file import refuse_study
     from fleet.scenario.loading import load_scenario
 

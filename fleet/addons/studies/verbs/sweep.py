@@ -155,7 +155,7 @@ def _prepared(name: str, asked: StudySpec, out: Path, how: WorkerOptions) -> tup
 
 def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
     """The measures that the table shows. Raises StudyError: the study does not have one."""
-    from fleet.addons.studies.measures import find_columns
+    from fleet.addons.studies.signal_measures import find_columns
     from fleet.addons.studies.summary import DEFAULT
 
     return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.every_column)

@@ -91,8 +91,6 @@ class Console:
             with deferring_interrupts():  # otherwise processes stay, and an open session keeps us from ending
                 self._fleet.close()
 
-    # The stages of a run.
-
     def _get_ready(self, progress: Callable[[], None]) -> None:
         fleet, session = self._fleet, self._fleet.session
         vehicles = range(1, self._scenario.vehicles + 1)
@@ -173,8 +171,6 @@ class Console:
     def _wait_to_join(self, since: float, progress: Callable[[], None]) -> None:
         self._fleet.waiting = self._fleet.external.waiting(time.monotonic() - since, self._options.join_timeout_s)
         progress()
-
-    # Events.
 
     def _take(self, timeout_s: float) -> None:
         for event in self._fleet.events.take(timeout_s):

@@ -175,8 +175,6 @@ class InProcess:
     def finished(self) -> bool:
         return self._world.finished
 
-    # What is done to the fleet between two ticks: `Fleet`.
-
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         self.rounds.netem.faults = tuple(faults)
         return True
@@ -202,8 +200,6 @@ class InProcess:
     def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         self._world.state.lives.restart(i, begin, tick)
         self.rounds.lives.restart(i, begin, tick)
-
-    # What the cores say to each other.
 
     def _settle(self) -> None:
         """Carry what is in the post, until everyone waits for a grant or for an agent that answers later."""

@@ -137,8 +137,6 @@ class Supervisor:
             if self._launch is not None:
                 self._launch.close()
 
-    # What the operator asks for: `Fleet`.
-
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         return "tick" in self.session.ask(NETEM, "faults", faults=[fault_values(fault) for fault in faults])
 
@@ -159,8 +157,6 @@ class Supervisor:
         self._lives.restart(i, begin, tick)
         self.session.put(Restart(i, begin, tick))
         self._set_absences()
-
-    # Lives.
 
     def next_restart(self) -> int:
         """The first begin of an agent that is not ready yet, as a tick. The clock stops before it."""
@@ -319,8 +315,6 @@ class Supervisor:
 
     def now(self) -> str:
         return tick_text(self._journal.framed, self._scenario.tick_ns)
-
-    # Words for a person.
 
     def last_lines(self) -> list[str]:
         """The last line of each process, of the first ten that printed one."""

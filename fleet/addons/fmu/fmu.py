@@ -20,7 +20,8 @@ import msgpack
 
 from fleet.addons.fmu import fmu_host
 from fleet.addons.fmu.fmu_archive import unpack
-from fleet.addons.fmu.fmu_variables import COMMAND, CURRENT, MOTION, WRENCH, Description, Variables, describe, variables
+from fleet.addons.fmu.fmu_description import Description
+from fleet.addons.fmu.fmu_variables import COMMAND, CURRENT, MOTION, WRENCH, Variables, describe, variables
 from netem.private_folder import PrivateFolder
 from world.api import PlantConfig, PlantState, Signal, Vec3, Vec6, Water
 from world.errors import FmuError

@@ -201,8 +201,6 @@ class EvoLogics:
             said = self._submit(to, data, number, instant=kind == b"IM", answered=more != b"noack")
         self._answer(client, name, said)
 
-    # Data of the data mode.
-
     def _take_data(self, client: Client, data: bytes) -> None:
         if not data:
             return
@@ -226,8 +224,6 @@ class EvoLogics:
             if self._submit(to, piece, self._settings.numbers[b"ZS"], instant=False, answered=True) != OK:
                 return
             self._stream = self._stream[len(piece) :]
-
-    # Messages that leave.
 
     def _submit(self, to: int, data: bytes, pid: int, *, instant: bool, answered: bool) -> bytes:
         """Send a message. Returns the answer to its command."""
@@ -302,8 +298,6 @@ class EvoLogics:
 
         return sent
 
-    # What the water says.
-
     def on_pinged(self, frame: HeardFrame) -> None:
         """See `ModemLanguage`. Its language has no word for it."""
 
@@ -355,8 +349,6 @@ class EvoLogics:
         """The signal strength [dB] and the integrity of what was received."""
         over_db = level.snr - self._modem.channel.modem.clear_above
         return round(level.received - RSSI_0), max(0, round(_LIMIT + _PER_DB * over_db))
-
-    # Where it comes from.
 
     def _tell_place(self, frame: HeardFrame) -> None:
         """USBLLONG, after an acknowledgement: then the travel time is known, and so the range."""

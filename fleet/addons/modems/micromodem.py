@@ -123,8 +123,6 @@ class MicroModem:
         for client in modem.line_port.clients:
             self.on_opened(client)
 
-    # Clients.
-
     def on_opened(self, client: Client) -> None:
         """See `Translator`."""
         if hasattr(self, "_modem"):  # a terminal is opened before that
@@ -174,8 +172,6 @@ class MicroModem:
         if not 1 <= number <= BROADCAST:
             raise WrongSentenceError(6, f"NO ADDRESS {number}")
         return number
-
-    # Commands.
 
     def _configure(self, values: list[str]) -> None:
         name, value = _parameter(values[0]), values[1]
@@ -396,8 +392,6 @@ class MicroModem:
 
         if why := self._modem.submit(*(Job(data, _to(to), what, sent, dropped, head) for head, data in frames)):
             raise WrongSentenceError(5, why.upper())
-
-    # What the water says.
 
     def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`. Its language has no word for it."""

@@ -88,7 +88,10 @@ class _Ranging:
 
 
 class ModemCore:
-    """A modem endpoint in any language. It is handed to the process of the relay before it has begun."""
+    """A modem endpoint in any language. It is handed to the process of the relay before it has begun.
+
+    The thread of the relay calls `listen` to `on_reached`; what a language asks runs on the thread of the port.
+    """
 
     def __init__(
         self,
@@ -125,8 +128,6 @@ class ModemCore:
         self._alarms: list[tuple[int, int, Callable[[], None]]] = []  # a heap
         self._set = 0
         self._requests = cycle(range(256))  # numbers of ranges
-
-    # The relay's thread.
 
     def listen(self) -> str:
         """See `ModemEndpoint`."""
@@ -179,8 +180,6 @@ class ModemCore:
     def close(self) -> None:
         """See `ModemEndpoint`."""
         self.line_port.close()
-
-    # What a language asks, on the thread of the port.
 
     @property
     def state(self) -> Literal["idle", "transmitting", "receiving"]:
@@ -328,8 +327,6 @@ class ModemCore:
     def _at(self, at_ns: int, then: Callable[[], None]) -> None:
         self._set += 1
         heappush(self._alarms, (at_ns, self._set, then))
-
-    # Events.
 
     def _put(self, job: Job) -> None:
         """Let a payload wait for its transmission: of the modem's own, it may be one too many."""

@@ -62,8 +62,6 @@ class Unet:
         """See `ModemLanguage`."""
         self._modem = modem
 
-    # Clients.
-
     def on_opened(self, client: Client) -> None:
         """See `Translator`."""
         client.state = frozenset[str]()  # topics and agents whose messages it wants
@@ -126,8 +124,6 @@ class Unet:
                 if topic in client.state:
                     self._tell(client, name, agent, topic, **data)
                     break
-
-    # Requests.
 
     def _take(self, client: Client, message: Any) -> None:
         data = message.get("data") if isinstance(message, dict) else None
@@ -311,8 +307,6 @@ class Unet:
             return
         changed = {name: self._values(NODE, -1)[name]}
         self._publish(f"{_UNET}.ParamChangeNtf", NODE, (PARAMETER_TOPIC,), paramValues=changed)
-
-    # What the water says.
 
     def on_pinged(self, frame: HeardFrame) -> None:
         """See `ModemLanguage`. Its language has no word for it."""

@@ -291,8 +291,6 @@ class LogFeed:
         note = note or ("" if self.picture.placed else NOT_PLACED)
         return {"text": text, "paused": player.paused, "rate": player.rate, "over": over, "waiting": "", "note": note}
 
-    # What the time line does
-
     def toggle(self) -> None:
         """Play or pause; from the end it begins again."""
         if self.player.over:

@@ -103,8 +103,6 @@ class ViewState:
         for values in (*self._signals.values(), *self._new.values()):
             values.clear()
 
-    # What comes in
-
     def transforms(self, at_s: float, message: Any) -> None:
         """Take a message of the topic `transforms`: where the vehicles are, and how they are turned."""
         elapsed = at_s - self._placed_s
@@ -214,8 +212,6 @@ class ViewState:
         if not values or at_s - values[-1][0] >= SAMPLE_S / 4 - 1e-9:
             values.append((round(at_s, 3), value))
             self._new[name].append((round(at_s, 3), value))
-
-    # What goes out
 
     def setup(self) -> Row:
         """The constant part: names, links, sizes, and the scene as `fleet.recorder.scene.model` has it."""

@@ -151,9 +151,6 @@ def band_legend(vehicles: int, named: Sequence[int]) -> list[Artist]:
     ]
 
 
-# A signal that oscillates faster than a picture can show: its envelope and its mean instead of a solid block.
-
-
 COLUMNS = 90  # of an axis, each about 2 pt wide: two lines beside each other cover it
 _TURNS = 2  # in a column: a whole oscillation
 _NEAR = 5  # columns; where most of so many have such turns, the signal oscillates and does not only jump
@@ -178,8 +175,10 @@ def reach(lines: Iterable[Series], log: bool = False) -> float:
 def split_envelope(
     t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
 ) -> tuple[Series, Envelope | None]:
-    """The line of a signal over time [s] (ascending; NaN in gaps), which is the mean where it oscillates too fast, and
-    the envelope there, or None. `span` is the time axis [s], `whole` the `reach` of all its lines.
+    """The line of a signal over time, and the envelope where it oscillates faster than a picture can show, or None.
+
+    There the line is the mean, and the envelope stands in place of a solid block. `t` ascends [s], with NaN in gaps.
+    `span` is the time axis [s], `whole` the `reach` of all its lines.
     """
     if len(t) < _TURNS * 2:
         return (t, values), None

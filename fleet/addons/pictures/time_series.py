@@ -1,4 +1,4 @@
-"""Pictures of errors and inputs over time."""
+"""Pictures of the vehicles over time: errors with the limits of checks, inputs with their limits."""
 
 from __future__ import annotations
 
@@ -34,9 +34,6 @@ from fleet.addons.pictures.style import (
 from fleet.mcap.records import Array
 from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.signals import SignalName
-
-# Signals of the vehicles over time: errors with the limits of checks, inputs with their limits.
-
 
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
 HEAVY_SUFFIX = "-saturated"

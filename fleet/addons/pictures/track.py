@@ -41,9 +41,6 @@ from fleet.recorder.scene.primitives import AreaShape, CylinderShape, LineShape,
 from fleet.recorder.scene.styles import COURSE, PRINT
 from fleet.scenario.sections.fault_entry import DIVERGED, TUMBLED, entry_kind, entry_vehicles
 
-# Where the vehicles believed that they were, beside where they were: a thin way, and an ellipse at a few moments.
-
-
 MOMENTS = 5
 STRETCHES = 40  # of a way in three dimensions
 _ELLIPSE_LINE: dict[str, Any] = {"linewidth": 0.6, "linestyle": (0, (2, 1))}
@@ -55,7 +52,7 @@ BELIEF_ENTRIES: list[Artist] = [  # of a legend
 
 
 class BelievedWay(NamedTuple):
-    """The beliefs of one vehicle."""
+    """Where a vehicle believed that it was, beside where it was: a thin way, and an ellipse at a few moments."""
 
     vehicle: int
     colour: str
@@ -100,9 +97,6 @@ def draw_ways_in_space(ax: Any, ways: Sequence[BelievedWay]) -> None:
             corners = [[(point.east, point.north, point.down) for point in one.points]]
             style = {"facecolor": way.colour, "edgecolor": way.colour, "gid": f"ellipse-{way.vehicle}"}
             ax.add_collection3d(Poly3DCollection(corners, **style, **_AREA))
-
-
-# The marks on the pictures of the tracks: events of vehicles and their places, directions, desired places.
 
 
 # What begins a fault's text -> (what became of the vehicle, mark).

@@ -216,8 +216,6 @@ class Processes:
         )
         return head + b"\0".join([os.fsencode(self._home.path), *map(os.fsencode, self._visible)]) + b"\0\0"
 
-    # What the agent calls.
-
     def advance(self, until_ns: int, before_last: Callable[[], object] | None = None) -> None:
         """Let time pass up to a moment, each timer at its own. What was sent before comes at the first one.
 

@@ -83,8 +83,6 @@ class Streams:
         self.now_ns = 0
         self.processes = 1  # how many the program has
 
-    # What the program's library tells.
-
     def on_message(
         self,
         process: int,
@@ -254,8 +252,6 @@ class Streams:
             self._finish(end)
             self._forget_if_done(end)
 
-    # What comes from other agents.
-
     def hear(self, src: int, segment: Segment) -> None:
         """Take a segment. `src`: the agent that has sent it."""
         connection = segment.connection
@@ -338,8 +334,6 @@ class Streams:
             if not end.closed:
                 self._tell(end, 90)
         self._put(end, DATA)
-
-    # Sending.
 
     def _put(self, end: StreamEnd, kind: int, sequence: int | None = None, data: bytes = b"") -> None:
         window = max(0, WINDOW - end.waiting)

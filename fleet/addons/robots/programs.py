@@ -139,8 +139,6 @@ class Programs:
     def _filled(self, text: str, node: int) -> str:
         return fill_placeholders(text, {"node": self._scenario.nodes[node - 1], "number": node})
 
-    # Before the run begins.
-
     def start(
         self,
         addresses: Mapping[str, str],
@@ -243,8 +241,6 @@ class Programs:
         self.begin_ns = wanted_ns
         self._tell(begin=wanted_ns)
         return wanted_ns
-
-    # While it goes on.
 
     def hear(self) -> None:
         """Take what the keeper says. Raises RunBroken: it is gone."""
@@ -414,8 +410,6 @@ class Programs:
     def again(self, node: int) -> None:
         """Start the programs of a node again that have ended by themselves."""
         self._tell(again=self._scenario.nodes[node - 1])
-
-    # The end.
 
     def ends_at(self, at_ns: int) -> None:
         """The run is over at a time [ns]: what ends later is no failure."""

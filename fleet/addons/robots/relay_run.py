@@ -161,8 +161,6 @@ class RelayRun:
         self.deaths: dict[int, list[str]] = {}
         self.waiting = ""
 
-    # --- a runner
-
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
         """Run to the end, or until the operator or Ctrl-C ends it, which is how most runs end. Raises RunBroken: the
         relay ended, or could not begin; StoppedError, KeyboardInterrupt: it was ended before t = 0, so there is nothing
@@ -308,8 +306,6 @@ class RelayRun:
         progress()
         return True
 
-    # --- what the relay says
-
     def _received(self) -> bytes:
         try:
             return self._pipe.recv_bytes()
@@ -443,8 +439,6 @@ class RelayRun:
         self.notes.append(text)
         self._print(text)
 
-    # --- commands
-
     def _answer(self, operator: Operator) -> None:
         """Answer the requests that have come. Raises StoppedError: one of them was to stop."""
         try:
@@ -480,8 +474,6 @@ class RelayRun:
     def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         if begin is None:
             self._programs.again(i)
-
-    # --- the process
 
     def _tell(self, **request: Any) -> None:
         try:

@@ -250,15 +250,14 @@ class _Walk:
         return []
 
 
-# The theory of each border of a study, to be drawn next to the result of the simulations.
-#
-# `fleet check` leaves loss out. Here it enters the rule of dead reckoning as age: of a link that loses the share p,
-# what is heard last is p / (1 - p) rounds older on average.
-
-
 @dataclass(frozen=True, slots=True)
 class Theory:
-    """Theory at the low end of a border's range, and along it; None: it is not known, or the rule does not apply."""
+    """Theory at the low end of a border's range, and along it, to be drawn beside the result of the simulations; None:
+    it is not known, or the rule does not apply.
+
+    `fleet check` leaves loss out. Here it enters the rule of dead reckoning as age: of a link that loses the share p,
+    what is heard last is p / (1 - p) rounds older on average.
+    """
 
     shunting: tuple[float, float] | None  # K lambda_max(L+B) and a [1/s]; the first must be smaller
     stable: bool | None  # whether the linear loop is, for the final value of K, at the low end

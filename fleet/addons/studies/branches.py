@@ -167,19 +167,16 @@ def checks_over_time(scenario: Scenario) -> Iterator[str]:
             yield name
 
 
-# The ages of information that a run certainly reaches from a moment on, whatever is drawn after it.
-#
-# At tick S, before its round, the fates of all packets sent before S are known: they are under way, or lost. A packet
-# sent at S or later arrives L ticks after S at the earliest, so the ages of the ticks S to S + L - 1 are known.
-#
-# A margin that leaves these ages out is late. When it gets smaller, the fate of the next packet is drawn already.
-# All runs that continue from there then share its fate, and new draws do not help.
-
-
 def certain_margin(scenario: Scenario) -> Callable[[int, InProcess], float]:
     """Make a function that computes the margin of `max_age` [s] of a run before a round tick.
 
-    It covers the ticks for which every age is decided already. If the margin is below 0, the check fails.
+    It covers the ticks for which every age is decided already, whatever is drawn afterwards. If the margin is below 0,
+    the check fails. At tick S, before its round, the fates of all packets sent before S are known: they are under way,
+    or lost. A packet sent at S or later arrives L ticks after S at the earliest, so the ages of the ticks S to
+    S + L - 1 are known.
+
+    A margin that leaves these ages out is late. When it gets smaller, the fate of the next packet is drawn already. All
+    runs that continue from there then share its fate, and new draws do not help.
     """
     check = scenario.spec.checks.max_age
     assert check is not None

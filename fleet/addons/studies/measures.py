@@ -122,9 +122,6 @@ SEPARATION = MeasureColumn("separation_min_m", "m")  # least distance of two veh
 MORE_IS_BETTER = frozenset({"packets_delivered", "sim_s", SEPARATION.name})  # of all others less is
 STANDING = (*(measure.column for measure in MEASURES.values()), SEPARATION)  # of every study
 
-# Of each check a study knows three numbers: `check.NAME` is 1 where a run passed it and 0 where it did not,
-# `value.NAME` is the number that it judged, and `margin.NAME` its distance from failing.
-
 CHECK = "check."  # of a column whose runs make a share, as those that passed
 _OF_CHECK = (CHECK, "value.", "margin.")
 # The checks that judge a number which changes with what is varied, and the units of the number and its margin.
@@ -139,7 +136,9 @@ def is_of_check(name: str) -> bool:
 
 
 def columns_of_checks(checks: Iterable[str]) -> list[MeasureColumn]:
-    """The three columns that a study has of each of these checks."""
+    """The three columns that a study has of each of these checks: `check.NAME` is 1 where a run passed it and 0 where
+    it did not, `value.NAME` is the number that it judged, and `margin.NAME` its distance from failing.
+    """
     found = []
     for name in checks:
         of_value, of_margin = JUDGED.get(name, ("", ""))

@@ -351,19 +351,21 @@ def _words(value: Any) -> str:
     return json.dumps(value) if isinstance(value, dict) else str(value)
 
 
-# Delta debugging: the least part of a list that still fails.
-#
-# The algorithm ddmin of Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE Trans.
-# Software Eng. 28 (2002), section 3.2. It is exact where a test gives the same answer each time, as a run of a
-# scenario does. All parts of one size are tested side by side. Among those that fail it takes the first one, so the
-# speed of workers changes nothing.
-
 T = TypeVar("T")
 
 
 def ddmin(items: Sequence[T], fails: Callable[[list[list[T]]], Sequence[bool]]) -> list[T]:
-    """A part of `items`, in their order, that fails and needs each of its items to fail. `items`: a list that fails.
-    `fails`: says of each of some parts whether it fails. The empty list is asked for first."""
+    """Delta debugging: a part of `items`, in their order, that fails and needs each of its items to fail.
+
+    The algorithm ddmin of Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE Trans.
+    Software Eng. 28 (2002), section 3.2. It is exact where a test gives the same answer each time, as a run of a
+    scenario does. All parts of one size are tested side by side. Among those that fail it takes the first one, so the
+    speed of workers changes nothing.
+
+    Args:
+        items: a list that fails.
+        fails: says of each of some parts whether it fails. The empty list is asked for first.
+    """
     if not items or fails([[]])[0]:
         return []
     left = list(items)

@@ -315,9 +315,6 @@ def _keep_logs(work: Work, like: Task, kept: KeepLogs) -> None:
         engine.make(again, take, work.wait)
 
 
-# Two points have the same mistake if it differs only in the value that is varied, or in numbers. So a wrong key is
-# reported once, not per value.
-
 _NUMBER = re.compile(rf"(?<!\w){NUMBER.pattern}", re.ASCII)
 
 
@@ -351,6 +348,9 @@ def point_warnings(plan: Plan, scenarios: Sequence[Scenario]) -> list[str]:
 
 
 def _same(problem: Problem, point: Point) -> str:
+    """A text that is equal where two points have the same mistake: it differs only in the value that is varied, or in
+    numbers. So a wrong key is reported once, not per value.
+    """
     words = _without_values(f"{problem.message}\n{problem.hint}", point)
     if problem.file.startswith("--"):  # its value may be the one that is varied, so columns differ
         return f"{_without_values(problem.file, point)}\n{words}"

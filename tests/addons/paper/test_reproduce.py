@@ -36,7 +36,8 @@ from fleet.addons.paper.figures import (
     inputs,
     topology,
 )
-from fleet.addons.paper.run import HEADINGS, _network_check, chosen, table_1, write
+from fleet.addons.paper.report import HEADINGS, chosen, table_1, write
+from fleet.addons.paper.run import _network_check
 from fleet.processes.interrupts import HungUp
 from fleet.result.result import Result, Status
 

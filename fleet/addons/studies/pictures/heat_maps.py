@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from fleet.addons.pictures.caption import text_width_pt, write_caption
 from fleet.addons.pictures.look import column_in, label_pt, page_in
 from fleet.addons.pictures.style import panels
-from fleet.addons.studies.signal_measures import more_is_better
 from fleet.addons.studies.pictures.marks import (
     DIVERGING,
     Digits,
@@ -37,6 +36,7 @@ from fleet.addons.studies.pictures.points import (
     Cell,
     Quantity,
 )
+from fleet.addons.studies.signal_measures import more_is_better
 from fleet.addons.studies.statistics import Estimate
 from fleet.mcap.records import Array
 

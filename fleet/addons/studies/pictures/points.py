@@ -254,8 +254,6 @@ def _cell(kind: str, state: Array, values: Array) -> Cell:
     return Cell(median(values[~np.isnan(values)].tolist()), found, lack)
 
 
-# Turns keys and values of a scenario into words for the axes, legends and titles of a study's pictures.
-
 _KEYS = {
     "vehicles": "number of vehicles",
     "network.period": "time between rounds",
@@ -269,7 +267,7 @@ _NUMBER = re.compile(r"[-+.]?\d")
 
 
 def key_words(key: str) -> str:
-    """A key in words: `network.links.*.loss` is `loss of every link`."""
+    """A key in words, for axes, legends and titles: `network.links.*.loss` is `loss of every link`."""
     if key in _KEYS:
         return _KEYS[key]
     link = _LINKS.fullmatch(key)

@@ -39,10 +39,10 @@ def deliveries_to_own_clock(deliveries: list[Delivery], nav: Nav) -> list[Delive
     if not isinstance(nav, OwnNav):
         return deliveries
     ahead = nav.tick - nav.sample
-    return [_by_own_clock(delivery, ahead) for delivery in deliveries]
+    return [_delivery_to_own_clock(delivery, ahead) for delivery in deliveries]
 
 
-def _by_own_clock(delivery: Delivery, ahead: int) -> Delivery:
+def _delivery_to_own_clock(delivery: Delivery, ahead: int) -> Delivery:
     due = max(0, delivery.due_tick + ahead)
     if delivery.range_tick is None:
         return replace(delivery, due_tick=due)

@@ -166,7 +166,7 @@ class WorldProcess:
             case Grant():
                 self._publish(run.grant(message.until))
             case WorldFaults():
-                state.world.faults = _checked(message.faults)
+                state.world.faults = _check_faults(message.faults)
             case Death(vehicle=i) if i in self._ids:
                 if message.tick is not None:
                     state.lives.add(Absence(i, message.tick, message.until))
@@ -352,7 +352,7 @@ def _check_version(hello: Hello) -> None:
         raise MalformedMessage("hello", f"protocol version {hello.version}, ours is {PROTOCOL_VERSION}")
 
 
-def _checked(faults: tuple[WorldFault, ...]) -> tuple[WorldFault, ...]:
+def _check_faults(faults: tuple[WorldFault, ...]) -> tuple[WorldFault, ...]:
     for fault in faults:
         if len(fault.values) != (expected := fault.kind.numbers):
             got = len(fault.values)

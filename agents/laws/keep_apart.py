@@ -181,20 +181,20 @@ def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], wi
     duals = [*result.z_l.tolist(), low[3], *low[:3], *high[:3]]
     slacks = [*result.s_l.tolist(), room[3], *room[:3], *result.s_bu.tolist()[:3]]
     active = [k for k, (dual, slack) in enumerate(zip(duals, slacks, strict=True)) if dual > slack]
-    if (exact := _polished(target, rows, active)) is not None:
+    if (exact := _polish(target, rows, active)) is not None:
         return clip(exact, scale(widest, -1.0), widest)
     north, east, down, _ = result.x.tolist()
     return north, east, down
 
 
-def _polished(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
+def _polish(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
     """The nearest velocity in closed form, from the constraints that hold with equality; None: these are no solution.
 
     PIQP's builds differ in the last bits, and from there a run goes another way. `active` is what PIQP found. A
     constraint that pushes the wrong way is left out, and a constraint that is missed is added, one at a time.
     """
     for _ in range(CHANGES):
-        solved = _eliminated(target, rows, active)
+        solved = _eliminate(target, rows, active)
         if solved is None:
             return None
         x, y, z, slack, *pushes = solved
@@ -210,7 +210,7 @@ def _polished(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
     return None
 
 
-def _eliminated(target: Vec3, rows: list[_Row], active: list[int]) -> list[float] | None:
+def _eliminate(target: Vec3, rows: list[_Row], active: list[int]) -> list[float] | None:
     """rho, the slack, and how hard each active constraint pushes: rho - target = n' pushes, and these sum up to PENALTY
     on the slack. One whose direction follows from others does not push. None: they contradict each other. (Gauss, with
     the largest pivot of a column.)

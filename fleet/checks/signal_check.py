@@ -83,7 +83,7 @@ class RunningSignalCheck:
         there = [(i, value) for i, value in found if value is not None]
         judge = self._safety or self._liveness
         assert judge is not None
-        each = [((i,), value) for i, value in numbers] if numbers is not None else [_joined(self._asked, there)]
+        each = [((i,), value) for i, value in numbers] if numbers is not None else [_join_vehicles(self._asked, there)]
         units = judge.step(tick, each)
         if units is None:
             return None
@@ -119,7 +119,7 @@ class RunningSignalCheck:
         return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
 
 
-def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[Unit, float | None]:
+def _join_vehicles(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[Unit, float | None]:
     """The number of the fleet, and the vehicles that make it."""
     if silent := tuple(i for i, value in there if isnan(value)):
         return silent, nan

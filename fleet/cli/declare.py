@@ -105,7 +105,7 @@ class _Taken(NamedTuple):
 
     def value(self, given: Mapping[str, Any]) -> Mapping[str, Any]:
         """The parameter, from all that was given; nothing: its default holds."""
-        found = {each.name: _built(each, given[each.name]) for each in self.fields if each.name in given}
+        found = {each.name: _build(each, given[each.name]) for each in self.fields if each.name in given}
         if self.struct is not None:
             return {self.name: self.struct(**found)}
         fallback = _first(self.fields[0], Fallback)
@@ -135,14 +135,14 @@ def command(
         taken: list[_Taken | _Extended] = []
         shown: list[click.Parameter] = []
         parameters = signature(function, eval_str=True).parameters.values()
-        own = {each: None if _from_add_ons(each) else _taken(each) for each in parameters}
+        own = {each: None if _from_add_ons(each) else _taken_parameter(each) for each in parameters}
         flags = {"--json", "--help", "-h"} | {
             word for one in own.values() if one is not None for field in one.fields for word in _words(field)
         }
         for each, one in own.items():
             is_option = each.kind is Parameter.KEYWORD_ONLY
             if one is None:
-                extended = _extended(each, name or function.__name__, flags)
+                extended = _extend(each, name or function.__name__, flags)
                 taken.append(extended)
                 shown += map(_option, extended.fields)
                 continue
@@ -204,7 +204,7 @@ def _parameters_of(kind: type[Extension]) -> list[click.Option]:
     return [_option(field) for field in fields(kind.options_type).values()]
 
 
-def _extended(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
+def _extend(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
     """The extensions of a command. One with an option that is there already is left out, and hurts no other."""
     asked, found = _from_add_ons(parameter), []
     assert asked is not None
@@ -220,7 +220,7 @@ def _extended(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
     return _Extended(parameter.name, tuple(found))
 
 
-def _taken(parameter: Parameter) -> _Taken:
+def _taken_parameter(parameter: Parameter) -> _Taken:
     kind = parameter.annotation
     if holds_fields(kind):
         return _Taken(parameter.name, tuple(fields(kind).values()), kind)
@@ -336,7 +336,7 @@ class _Checked(click.ParamType[str]):
             self.fail(str(error), param, ctx)
 
 
-def _built(field: OptionField, value: Any) -> Any:
+def _build(field: OptionField, value: Any) -> Any:
     """A value as the field holds it. Raises FleetError: the reader of its field does not take a text."""
     if field.shape is dict:
         return import_module(field.reader).texts_by_key(field, value)

@@ -87,7 +87,7 @@ def run(
         for warning in [*analyse(loaded).warnings, *warnings(loaded)]:
             say(f"warning: {warning}", err=True)
     beside = [each for each in companions if each.asked]
-    asked = _checked(loaded, start, how, beside, terminal)
+    asked = _check_options(loaded, start, how, beside, terminal)
     if asked.clock is Clock.REAL:  # also with --quiet, which is for progress and not for what will be gone
         say(f"warning: {_DEPRECATED_CLOCK}", err=True)
     if not how.quiet:
@@ -133,7 +133,7 @@ def _tell(hear: Callable[[Path], None], directory: Path) -> None:
         say(f"warning: {type(error).__name__} beside the run: {error}", err=True)
 
 
-def _checked(
+def _check_options(
     scenario: Scenario, start: Start | None, how: Options, companions: Sequence[Companion], terminal: Terminal
 ) -> Options:
     """How to run a scenario. Raises UsageError, FleetError: options do not go together, or with the scenario."""

@@ -90,7 +90,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     if has_gateways(scenario):
         admit_programs(scenario.spec, scenario.reading.policy)
     try_plants(scenario)
-    moment = None if options.start is None else _reached(options.start, quiet=options.quiet)
+    moment = None if options.start is None else _run_prefix(options.start, quiet=options.quiet)
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:
         if moment is not None:
@@ -104,7 +104,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     return run.result
 
 
-def _reached(start: Start, *, quiet: bool) -> Prefix:
+def _run_prefix(start: Start, *, quiet: bool) -> Prefix:
     at = show_time(start.tick * start.legs[-1].scenario.tick_ns)
     with showing(f"running to t = {at} again", quiet=quiet) as on_progress:
         return reach(start, on_progress)

@@ -32,12 +32,12 @@ def check_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     if it is none, or none for this scenario; the text says what is wrong.
     """
     try:
-        return _checked(entry, tick, scenario)
+        return _check(entry, tick, scenario)
     except RefusedError as error:
         raise RefusedError(with_node_names(str(error), scenario.nodes), error.status) from None
 
 
-def _checked(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
+def _check(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     if not isinstance(entry, dict) or "at" in entry:
         raise RefusedError("expected a fault without `at`, because it begins now")
     try:

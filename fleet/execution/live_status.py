@@ -35,7 +35,7 @@ def vehicle_rows(
             "state": _state(i, journal, dead),
             "formation_m": series[i].formation[-1],
             "e_m": series[i].e[-1],
-            "settled": _settled(scenario, journal, series[i]),
+            "settled": _is_settled(scenario, journal, series[i]),
             "oldest_s": ages[i][0] * scenario.tick_ns / 1e9 if i in ages else None,
             "oldest_of": ages[i][1] if i in ages else None,
         }
@@ -89,7 +89,7 @@ def _state(i: int, journal: Journal, dead: Collection[int]) -> str:
     return ", ".join(words) or "alive"
 
 
-def _settled(scenario: Scenario, journal: Journal, series: Series) -> bool:
+def _is_settled(scenario: Scenario, journal: Journal, series: Series) -> bool:
     """Whether the consensus error has been below 5 cm for as long as the result table asks for, up to now."""
     times = journal.metrics.times
     least = least_s(scenario.disturbance, times[-1] - times[0])

@@ -51,12 +51,12 @@ def reach(start: Start, on_progress: Callable[[float], None] = lambda share: Non
     """
     moment: Prefix | None = None
     for leg in start.legs:
-        moment = _gone(leg, moment, start if leg is start.legs[-1] else None, lambda k: on_progress(k / start.tick))
+        moment = _run_leg(leg, moment, start if leg is start.legs[-1] else None, lambda k: on_progress(k / start.tick))
     assert moment is not None
     return moment
 
 
-def _gone(leg: Leg, before: Prefix | None, start: Start | None, on_progress: Callable[[int], None]) -> Prefix:
+def _run_leg(leg: Leg, before: Prefix | None, start: Start | None, on_progress: Callable[[int], None]) -> Prefix:
     """Go on from a moment to the end of a leg. `start`: whose last leg it is."""
     scenario = leg.scenario
     links = LinkHistories(scenario.graph.links) if before is None else before.links

@@ -57,7 +57,7 @@ def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> x
     found = xr.Dataset(
         {name: (dim, column.values, _attributes(column, topic.schema)) for name, column in kept.items()},
         {"t": (dim, time.values, {"units": "s", "long_name": time.meaning})},
-        {"Conventions": CONVENTIONS, "title": topic.name, **_about(run)},
+        {"Conventions": CONVENTIONS, "title": topic.name, **_origin(run)},
     )
     found["t"].encoding["_FillValue"] = None  # CF: a coordinate has none
     return found
@@ -110,7 +110,7 @@ def frame_attributes(table: list[TableColumn]) -> dict[str, dict[str, str]]:
     }
 
 
-def _about(run: Mapping[str, str]) -> dict[str, str]:
+def _origin(run: Mapping[str, str]) -> dict[str, str]:
     """Where a Dataset is from, in CF's words where it has some; of another program's log nothing is known."""
     if "uuv-fleet" not in run:
         return {}

@@ -252,7 +252,7 @@ class NetcdfSheet(Sheet):
         if not self._parts:
             return
         whole = [
-            column._replace(values=_of_netcdf(np.concatenate([part[k].values for part in self._parts])))
+            column._replace(values=_to_netcdf(np.concatenate([part[k].values for part in self._parts])))
             for k, column in enumerate(self._parts[0])
         ]
         found = dataset(self.topic, whole, self._run)
@@ -306,7 +306,7 @@ def _plain(values: Array) -> Iterable[Any]:
     return found
 
 
-def _of_netcdf(values: Array) -> Array:
+def _to_netcdf(values: Array) -> Array:
     """The same in a type of NetCDF-3, which has no integers of 64 bits."""
     if values.dtype == np.int64 and np.any(np.abs(values) > np.iinfo(np.int32).max):
         return values.astype(np.float64)

@@ -180,13 +180,13 @@ def as_mcap(path: Path) -> Path | None:
     found = find_other_data(path)
     if found is None or not found.is_log:
         return None
-    return _converted(found, path.absolute(), path.stat().st_mtime_ns)
+    return _convert(found, path.absolute(), path.stat().st_mtime_ns)
 
 
 _MADE: dict[tuple[Path, int], Path] = {}  # by what was named, and when that changed: commands ask more than once
 
 
-def _converted(kind: OtherData, path: Path, changed_ns: int) -> Path:
+def _convert(kind: OtherData, path: Path, changed_ns: int) -> Path:
     if (path, changed_ns) not in _MADE:
         folder = PrivateFolder("log")
         atexit.register(folder.close)

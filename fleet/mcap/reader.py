@@ -357,12 +357,14 @@ def open_any(path: Path) -> IO[bytes]:
             raise LogReadError(f"cannot read {path}: it is no file")
         return path.open("rb")
     except FileNotFoundError as error:
-        raise LogReadError(_without_log(path) or f"cannot read {path}: {error.strerror}; {_WHAT_IT_IS}") from error
+        raise LogReadError(
+            _explain_missing_log(path) or f"cannot read {path}: {error.strerror}; {_WHAT_IT_IS}"
+        ) from error
     except OSError as error:
         raise LogReadError(f"cannot read {path}: {error.strerror}") from error
 
 
-def _without_log(path: Path) -> str:
+def _explain_missing_log(path: Path) -> str:
     """What to say of a log that is not there because its run was to write none; "" if it was not."""
     scenario = path.with_name("scenario.yaml")
     try:

@@ -128,10 +128,10 @@ class Children:
         processes = [child.process for child in self.by_role.values()]
         for process in processes:
             process.terminate()
-        remaining = _left(processes)
+        remaining = _wait_for_end(processes)
         for process in remaining:
             process.kill()
-        if _left(remaining):
+        if _wait_for_end(remaining):
             _kill_forkserver()
         for process in processes:
             process.join(GRACE_S)
@@ -178,7 +178,7 @@ def _forkserver_starting(modules: str | None = None) -> Iterator[None]:
         yield
 
 
-def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
+def _wait_for_end(processes: list[BaseProcess]) -> list[BaseProcess]:
     remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
     while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
         for sentinel in ended:

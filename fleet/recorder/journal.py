@@ -146,7 +146,7 @@ class Journal:
         if frame.more:
             return
         self.framed = frame.tick
-        self._frames.append(frame if len(self._parts) == 1 else _joined(self._parts))
+        self._frames.append(frame if len(self._parts) == 1 else _join_parts(self._parts))
         self._parts = []
         self._write()
 
@@ -284,7 +284,7 @@ class Journal:
             self.log.packet(fate)
 
 
-def _joined(parts: list[Frame]) -> Frame:
+def _join_parts(parts: list[Frame]) -> Frame:
     return structs.replace(
         parts[-1],
         vehicles=tuple(row for part in parts for row in part.vehicles),

@@ -103,7 +103,7 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
             tick = record.log_ns // scenario.tick_ns
             raise NotRecordedError(f"a message of {record.topic} at tick {tick} is damaged") from None
     for i, agent in reading.agents.items():
-        _transmitted(agent, reading.packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
+        _add_payloads(agent, reading.packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
     return reading.agents
 
 
@@ -167,7 +167,7 @@ class _Reading:
         return message
 
 
-def _transmitted(agent: RecordedAgent, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:
+def _add_payloads(agent: RecordedAgent, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:
     """The payloads of each tick. A payload whose fate is not in a cut log keeps its place and is empty."""
     tick = 0
     for seq in range(max(packets, default=-1) + 1):

@@ -86,7 +86,7 @@ def read_recorded_run(path: Path, on_progress: OnProgress = lambda _: None) -> R
                 f"{path} holds more than {LOG_FAULTS.items} events of faults, or {LOG_FAULTS.bytes} bytes of them: "
                 "that is no run"
             )
-    attached = _attached(path, reader)
+    attached = _attached_scenario(path, reader)
     decode = Decoder(reader)
     names = reader.metadata.get("run", {}).get(NODES, "").split()
     events = [(record.log_ns, fault_message(decode.ours(record, FAULT), names)) for record in happened]
@@ -101,7 +101,7 @@ def script(path: Path, on_progress: OnProgress = lambda _: None) -> Scenario:
     return read_recorded_run(path, on_progress).script()
 
 
-def _attached(path: Path, reader: LogReader) -> str:
+def _attached_scenario(path: Path, reader: LogReader) -> str:
     data = reader.attachments.get("scenario.yaml")
     if data is None:
         foreign = ": it was not written by fleet run, so there is nothing to judge or to repeat"
@@ -134,7 +134,7 @@ def rerun(
         faults = _with_plans(faults, planned)
     ended = {str(entry["id"]) for entry in faults if "for" in entry}
     more = [*_recoveries(planned, ended), *overrides]
-    again = _without_faults(text.splitlines()) + _faults_yaml(faults)
+    again = _drop_faults(text.splitlines()) + _faults_yaml(faults)
     return parse_scenario(again, str(path), more, policy=policy)
 
 
@@ -188,7 +188,7 @@ def _faults_yaml(faults: list[dict[str, Any]]) -> str:
     return "".join(["\nfaults:\n", *(f"  - {json.dumps(entry)}\n" for entry in faults)]) if faults else "\n"
 
 
-def _without_faults(lines: list[str]) -> str:
+def _drop_faults(lines: list[str]) -> str:
     kept: list[str] = []
     inside = False
     for line in lines:

@@ -45,7 +45,7 @@ class Replay:
             for n, c in played.items()
             if c.topic in names.difference(self.no_keys)
         }
-        self._latched = [n for n in self.key_of if _latched(played[n])]
+        self._latched = [n for n in self.key_of if _is_latched(played[n])]
         self._after = 0  # what comes next if the player does not jump
         self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
         self._attached = ATTACHMENT in kinds.values()
@@ -239,7 +239,7 @@ def chosen(topics: Iterable[str], patterns: Sequence[str], exclude: Sequence[str
 _TRANSIENT_LOCAL = re.compile(r"durability: *(transient_local|1)\b")  # in a bag: in words, or its number in rmw
 
 
-def _latched(channel: Channel) -> bool:
+def _is_latched(channel: Channel) -> bool:
     """Whether a late subscriber expects the last message: static transforms, and what publishers of ROS 2 keep."""
     offered = channel.metadata.get("offered_qos_profiles", "")
     return channel.topic.strip("/").endswith("tf_static") or _TRANSIENT_LOCAL.search(offered) is not None

@@ -85,11 +85,11 @@ def parse_scenario(
         raise ScenarioError(sorted(problems, key=lambda p: _order(p, source, overrides)))
     reading = Reading(text, tuple(overrides), folder, policy)
     if parts.spec.clock == SIMULATED:
-        parts = _simulated(parts.spec, source_name, folder, policy)
+        parts = _simulated_parts(parts.spec, source_name, folder, policy)
     return Scenario(parts, reading, source_name)
 
 
-def _simulated(spec: ScenarioSpec, source_name: str, folder: Path | None, policy: Policy) -> Parts:
+def _simulated_parts(spec: ScenarioSpec, source_name: str, folder: Path | None, policy: Policy) -> Parts:
     """The parts of a file of nodes in simulated time. Raises ScenarioError: a program of it cannot run there."""
     made = yaml_text(simulated_values(spec, folder or Path()))
     root, problems = read(Source(f"{source_name} in simulated time", made))

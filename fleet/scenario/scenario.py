@@ -56,8 +56,8 @@ class Scenario:
 
     def __init__(self, parts: Parts, reading: Reading, source: str = "") -> None:
         """The scenario of a valid specification, from its parts. `source`: its shipped name, or its path."""
-        self.spec = spec = _without_files(parts.explicit, parts)  # the values of the file, in SI units
-        self.undrawn = _without_files(parts.spec, parts)  # with the nemesis in place of the faults that it drew
+        self.spec = spec = _inline_files(parts.explicit, parts)  # the values of the file, in SI units
+        self.undrawn = _inline_files(parts.spec, parts)  # with the nemesis in place of the faults that it drew
         self.reading, self.source = reading, source
         self.nodes = tuple(spec.nodes or ())  # names of robots that are not ours; empty: vehicles
         self.targets = parts.targets  # what its nemesis acts on
@@ -288,7 +288,7 @@ def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:
     return tuple(others.values())
 
 
-def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
+def _inline_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
     """The same specification, with what a user's files of vehicles, modems and traces hold in place of the files."""
     folder = parts.folder
 

@@ -137,7 +137,7 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
     parts = Parts(spec, folder)
     if isinstance(spec, ScenarioSpec) and "nodes" not in root.entries:
         for path in laws.superfluous(parts, report):
-            root = _without(root, path)
+            root = _drop_key(root, path)
         if root is not report.root:
             return validate(root, folder, policy)
     apply_rules(parts, report)
@@ -146,13 +146,13 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
     return (None if told else parts), told
 
 
-def _without(root: Mapping, path: Sequence[str]) -> Mapping:
+def _drop_key(root: Mapping, path: Sequence[str]) -> Mapping:
     """The tree without a key."""
     key, *rest = path
     inner = root.entries[key]
     if not rest or not isinstance(inner, Mapping):
         return root.without(key)
-    return Mapping(root.entries | {key: _without(inner, rest)}, root.keys, root.place)
+    return Mapping(root.entries | {key: _drop_key(inner, rest)}, root.keys, root.place)
 
 
 def apply_rules(parts: Parts, report: Report) -> None:
@@ -278,7 +278,7 @@ def _keys_of(errors: Sequence[ErrorDetails], kind: str, section: Loc) -> list[st
 def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
     """A problem in words; `meant`: the key that an unknown one stands for, if that is known."""
     loc = error["loc"]
-    path = _in_file(root, loc)
+    path = _file_path(root, loc)
     context, value = error.get("ctx", {}), error["input"]
     name = dotted_path(path)
     match error["type"]:
@@ -313,7 +313,7 @@ def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
     return locate(root, path).problem(f"{_short(name)}: {message}", hint, name)
 
 
-def _in_file(root: Mapping, loc: Loc) -> Loc:
+def _file_path(root: Mapping, loc: Loc) -> Loc:
     """The path in the file of a path in the model.
 
     The model has a step more for the form of `initial` and of what may be a section or a text, for checks in Python,

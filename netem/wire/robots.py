@@ -142,10 +142,10 @@ class Robot:
         self.matched: set[int] = set()  # the numbers of the expressions of `carry` that something came on
         self.placed: deque[tuple[str, bytes]] = deque(maxlen=1)  # key and message that say last where it is
         self._inlet, self._put = inlet, inlet.put
-        before = _listened() if endpoint.listen.endswith(ANY_PORT) else None
-        self._session = _opened(endpoint)
+        before = _listening_ports() if endpoint.listen.endswith(ANY_PORT) else None
+        self._session = _open_session(endpoint)
         # zenoh tells nobody which port the system gave it.
-        self.port = None if before is None else next(iter(_listened() - before), None)
+        self.port = None if before is None else next(iter(_listening_ports() - before), None)
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
@@ -432,14 +432,14 @@ def _direct(handler: Callable[[Any], None]) -> Any:
     return zenoh.handlers.Callback(handler, indirect=False)
 
 
-def _listened() -> set[int]:
+def _listening_ports() -> set[int]:
     """The ports of TCP that this process listens on."""
     import psutil  # here, because it is long to load, and few robots have a port that the system chooses
 
     return {one.laddr.port for one in psutil.Process().net_connections("tcp") if one.status == psutil.CONN_LISTEN}
 
 
-def _opened(endpoint: RobotEndpoint) -> zenoh.Session:
+def _open_session(endpoint: RobotEndpoint) -> zenoh.Session:
     try:
         config = zenoh.Config.from_file(endpoint.config) if endpoint.config else zenoh.Config()
     except zenoh.ZError as error:

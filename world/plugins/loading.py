@@ -128,7 +128,7 @@ def _import(kind: str, name: str) -> Any:
     module_name, _, class_name = name.partition(":")
     importlib.invalidate_caches()
     try:
-        module = _loaded(lambda: importlib.import_module(module_name))
+        module = _load(lambda: importlib.import_module(module_name))
     except ModuleNotFoundError as error:
         if error.name is not None and (module_name == error.name or module_name.startswith(error.name + ".")):
             hint = "it must be installed, or lie beside the scenario or where you are"
@@ -157,7 +157,7 @@ class _LoadError(Exception):
         self.where = where
 
 
-def _loaded(load_it: Callable[[], Any]) -> Any:
+def _load(load_it: Callable[[], Any]) -> Any:
     """The result of an import. Standard output is data, so prints of the module go to standard error."""
     try:
         with redirect_stdout(sys.stderr):
@@ -190,7 +190,7 @@ def _entry_point(kind: str, name: str) -> tuple[str, Any]:
         )
     value = points[name].value
     try:
-        return value, _loaded(points[name].load)
+        return value, _load(points[name].load)
     except ModuleNotFoundError as error:
         raise PluginError(kind, name, f"its entry point {value} does not load: {error}", place_of(error)) from error
     except _LoadError as error:

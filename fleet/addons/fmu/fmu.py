@@ -86,7 +86,7 @@ class FmuPlant:
         folder = private.path
         try:
             unpack(self.plugin_file, folder)
-            self._process, self._connection = _started(private)
+            self._process, self._connection = _start(private)
         except BaseException:
             private.close()
             raise
@@ -181,7 +181,7 @@ class FmuPlant:
         return answer
 
 
-def _started(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connection]:
+def _start(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connection]:
     ours, theirs = Pipe()
     with theirs:
         number = theirs.fileno()

@@ -63,7 +63,7 @@ def observation(space: spaces.Dict, seat: Seat) -> Values:
     """The observation of an agent at the tick of its present or last decision."""
     nav, config = seat.nav, seat.config
     if nav is None:  # its agent has not begun
-        return _filled(space)
+        return _fill_space(space)
     t = nav.tick * config.tick_ns / 1e9 if nav.clock_ns is None else nav.clock_ns / 1e9
     values: Values = {"time": _array(t), "eta": _array(*nav.eta), "nu": _array(*nav.nu)}
     if "roll" in space.spaces:
@@ -85,7 +85,7 @@ def observation(space: spaces.Dict, seat: Seat) -> Values:
 def _neighbour(space: spaces.Dict, seat: Seat, j: int) -> Values:
     heard = seat.heard.get(j)
     if heard is None:
-        return {**_filled(space), "age": _array(-1.0)}
+        return {**_fill_space(space), "age": _array(-1.0)}
     values = {"message": _array(*heard.numbers), "age": _array(heard.age_s)}
     if "range" in space.spaces:
         values["range"] = _array(-1.0 if heard.range_m is None else heard.range_m)
@@ -124,9 +124,9 @@ def _array(*values: float) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array(values, np.float64)
 
 
-def _filled(space: spaces.Dict) -> Values:
+def _fill_space(space: spaces.Dict) -> Values:
     return {
-        key: _filled(one) if isinstance(one, spaces.Dict) else np.full(one.shape, 0.0 if key == "message" else -1.0)
+        key: _fill_space(one) if isinstance(one, spaces.Dict) else np.full(one.shape, 0.0 if key == "message" else -1.0)
         for key, one in space.items()
     }
 

@@ -133,7 +133,7 @@ class EvoLogics:
 
     def _answer(self, client: Client, command: bytes, said: bytes) -> None:
         """Answer a command, as the mode wants it."""
-        self._modem.line_port.say(client, _framed(command, said) if client.state.data else said + b"\r\n")
+        self._modem.line_port.say(client, _frame(command, said) if client.state.data else said + b"\r\n")
 
     def _tell(self, said: bytes | Callable[[_Talk], bytes], switch: bytes = b"") -> None:
         """Tell all clients something that nobody asked for. `switch`: the one that it needs."""
@@ -386,6 +386,6 @@ class EvoLogics:
         return measure_fix(frame.away, travelled_m, self._usbl, modem.channel.seed, key)
 
 
-def _framed(command: bytes, said: bytes) -> bytes:
+def _frame(command: bytes, said: bytes) -> bytes:
     """An answer in the data mode: its command, its length, and itself."""
     return b"+++AT%b:%d:%b\r\n" % (command, len(said), said)

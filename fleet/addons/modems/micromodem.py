@@ -390,7 +390,9 @@ class MicroModem:
                 self._say("CATXF", size)
             told()
 
-        if why := self._modem.submit(*(Job(data, _to(to), what, sent, dropped, head) for head, data in frames)):
+        if why := self._modem.submit(
+            *(Job(data, _parse_address(to), what, sent, dropped, head) for head, data in frames)
+        ):
             raise WrongSentenceError(5, why.upper())
 
     def begins(self, sound: Sound) -> None:
@@ -490,7 +492,7 @@ def _parameter(name: str) -> str:
     return name.upper() if len(name) == 3 else name
 
 
-def _to(address: int) -> int:
+def _parse_address(address: int) -> int:
     return EVERYBODY if address == BROADCAST else address
 
 

@@ -57,7 +57,7 @@ def read_frame(data: Mapping[str, Any]) -> UnetFrame:
     if kind not in (None, CONTROL, DATA):
         raise WrongFieldError(f"there is no frame type {kind}: they are {CONTROL} (CONTROL) and {DATA} (DATA)")
     if reliable is not None and not isinstance(reliable, bool):
-        raise WrongFieldError(f"reliability is true or false, got {_shown(reliable)}")
+        raise WrongFieldError(f"reliability is true or false, got {_show(reliable)}")
     at_us = read_number(data, "txTime")
     return UnetFrame(EVERYBODY if to is None else to, payload, what, kind or DATA, bool(reliable), at_us)
 
@@ -84,10 +84,10 @@ def read_number(data: Mapping[str, Any], name: str) -> int | None:
     if isinstance(value, str) and len(value) <= _MOST_DIGITS and value.isascii():
         with suppress(ValueError):
             return int(value)
-    raise WrongFieldError(f"{name} is a whole number, got {_shown(value)}")
+    raise WrongFieldError(f"{name} is a whole number, got {_show(value)}")
 
 
-def _shown(value: Any) -> str:
+def _show(value: Any) -> str:
     """A value as an error shows it."""
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."

@@ -115,7 +115,7 @@ class FoxgloveServer:
             numbers.setdefault(made.id(), []).append(number)
         self._drops = _Drops()
         allow_most_open_files()  # connections that never ask for anything take one each
-        self._server = _started(
+        self._server = _start_server(
             host,
             [PORT, 0] if port is None else [port],
             name=name,
@@ -190,7 +190,7 @@ class FoxgloveServer:
         self._server.stop()
 
 
-def _started(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
+def _start_server(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
     for port in ports:
         try:
             return foxglove.start_server(host=host, port=port, **settings)

@@ -65,7 +65,7 @@ class ViewState:
         self._beliefs = NewestBeliefs(scenario)
         acoustic = scenario.acoustic
         self._on_air = None if acoustic is None else OnAir(acoustic, scenario.tick_ns / 1e9)
-        self.known_faults: list[Row] = _scripted(scenario)  # over, active and to come
+        self.known_faults: list[Row] = _planned_faults(scenario)  # over, active and to come
         self._events: dict[str, Row] = {}  # what happened to vehicles, by id
         self._told: list[VehicleEvents] | None = None  # the same as the console counts it; None: it was not asked
         self.changes = 0  # of `known`
@@ -227,7 +227,7 @@ class ViewState:
             "names": [scenario.vehicle_name(i) for i in range(1, scenario.vehicles + 1)],
             "links": [list(link) for link in self._numbers],
             "both_ways": [link in scene.both_ways for link in self._numbers],
-            "hulls_m": [_rounded((SLENDER * width, width)) for width in scene.diameters],
+            "hulls_m": [_round_all((SLENDER * width, width)) for width in scene.diameters],
             "standing": plain(scene.standing),
             "moving": plain(scene.moving(0.0)),
             "legend": [row._asdict() for row in scene.legend()],
@@ -248,7 +248,7 @@ class ViewState:
         phi, theta, psi = self._turns[i]
         roll = (phi,) if self.scenario.controls[i - 1].plant is not None else ()
         speed = round(self._speeds.get(i, 0.0), 3)
-        return [i, *_rounded(self._places[i]), *_rounded((theta, psi)), speed, *_rounded(roll)]
+        return [i, *_round_all(self._places[i]), *_round_all((theta, psi)), speed, *_round_all(roll)]
 
     def _label(self, i: int, state: str) -> tuple[int, str, str]:
         depth = "" if self.scenario.vehicles > MANY else depth_text(self._places[i][2])
@@ -261,7 +261,7 @@ class ViewState:
         row: Row = {
             "t": round(t, 4),
             "uuv": [self._vehicle(i) for i in sorted(self._places)],
-            "ref": _rounded(self.scene.reference(t)),
+            "ref": _round_all(self.scene.reference(t)),
             "links": [history.state(t, self._stale_s) for history in self.links.values()],
             "since": round(self.since_s, 2),
             "ages": [_hundredths(history.age_s(t)) for history in self.links.values()],
@@ -360,13 +360,13 @@ class ViewState:
         total = sum(count[1] for count in self._counts)
         share = sum(count[0] for count in self._counts) / total if total else 0.0
         errors = _errors(self.errors())
-        places = [value for i in sorted(self._places) for value in (i, *_rounded(self._places[i]))]
+        places = [value for i in sorted(self._places) for value in (i, *_round_all(self._places[i]))]
         sample = [round(t, 3), errors, ages, round(share, 4), places]
         self._samples.append(sample)
         self._fresh.append(sample)
 
 
-def _rounded(values: Iterable[float]) -> list[float]:
+def _round_all(values: Iterable[float]) -> list[float]:
     return [round(value, 3) for value in values]
 
 
@@ -389,7 +389,7 @@ def _errors(values: Iterable[float | None]) -> list[float | None]:
     return [None if value is None else round(value, 4) for value in values]
 
 
-def _scripted(scenario: Scenario) -> list[Row]:
+def _planned_faults(scenario: Scenario) -> list[Row]:
     end_s = scenario.duration_ns / 1e9
     return [fault_row(one._replace(end=min(one.end, end_s))) for one in timeline(scenario)]
 

@@ -178,7 +178,7 @@ def judge(outcomes: Outcomes) -> list[Claim]:
     return claims
 
 
-def _of(names: tuple[str, ...], sea: str) -> list[str]:
+def _case_names(names: tuple[str, ...], sea: str) -> list[str]:
     return [f"{name}-{sea}" for name in names]
 
 
@@ -215,7 +215,7 @@ def _convergence(sea: str, where: str) -> Callable[[Outcomes], Claim]:
                 reading,
                 f"UUVs 2-4: {name} within {limit} before {_and(FIXED)}",
                 f"{name}{infix}-{sea}",
-                _of(FIXED, sea),
+                _case_names(FIXED, sea),
                 key,
                 vehicles=UUVS_2_4,
                 form=".2f",
@@ -294,7 +294,7 @@ def _jump(o: Outcomes) -> Claim:
     )
 
 
-def _bounded(o: Outcomes) -> Claim:
+def _boundedness(o: Outcomes) -> Claim:
     low, high = (0.1, -1.0, -1.25), (1.5, 1.0, 1.25)  # profile paper
     checks = []
     for name in OPTIMISED:
@@ -309,7 +309,15 @@ def _bounded(o: Outcomes) -> Claim:
         asks = f"largest commanded speed: {name} at most {HALF} of {_and(FIXED)}"
         checks.append(
             compare_with_others(
-                o, PRINTED, asks, f"{name}-{U}", _of(FIXED, U), "u_cmd_max_mps", factor=HALF, form=".2f", unit="m/s"
+                o,
+                PRINTED,
+                asks,
+                f"{name}-{U}",
+                _case_names(FIXED, U),
+                "u_cmd_max_mps",
+                factor=HALF,
+                form=".2f",
+                unit="m/s",
             )
         )
     return Claim(
@@ -340,7 +348,13 @@ def _gains(sea: str, text: str, where: str, remark: str) -> Callable[[Outcomes],
 def _errors(o: Outcomes) -> Claim:
     checks = [
         compare_with_others(
-            o, reading, f"{what}: {name} below {_and(FIXED)}", f"{name}{infix}-{D}", _of(FIXED, D), key, unit="m"
+            o,
+            reading,
+            f"{what}: {name} below {_and(FIXED)}",
+            f"{name}{infix}-{D}",
+            _case_names(FIXED, D),
+            key,
+            unit="m",
         )
         for reading, infix in ((PRINTED, ""), (CORRECTED, "-consistent"), (NO_K_MAX, "-no-k_max"))
         for name in OPTIMISED
@@ -359,7 +373,14 @@ def _velocity_errors(o: Outcomes) -> Claim:
     unit = "m/s, rad/s"
     checks = [
         compare_with_others(
-            o, PRINTED, f"{what}: {name} below {_and(PLAIN)}", f"{name}-{D}", _of(PLAIN, D), key, form=form, unit=unit
+            o,
+            PRINTED,
+            f"{what}: {name} below {_and(PLAIN)}",
+            f"{name}-{D}",
+            _case_names(PLAIN, D),
+            key,
+            form=form,
+            unit=unit,
         )
         for key, what, form in (
             ("z_rms_mps", "RMS z late", ".4f"),
@@ -415,7 +436,7 @@ _CLAIMS: tuple[Callable[[Outcomes], Claim], ...] = (
     _convergence(U, "first case, Figs. 3, 4"),
     _effort,
     _jump,
-    _bounded,
+    _boundedness,
     _gains(
         U,
         "The gains adjust automatically and settle (undisturbed).",

@@ -87,7 +87,7 @@ def _possible(figure: str, outcomes: dict[str, Outcome]) -> bool:
     return any(CASES[name].sea == FIGURES[figure][1] for name in outcomes)
 
 
-def _pictured(figure: str, outcomes: dict[str, Outcome]) -> dict[str, Outcome]:
+def _outcomes_for(figure: str, outcomes: dict[str, Outcome]) -> dict[str, Outcome]:
     sea = FIGURES[figure][1]
     hidden = ("sensitivity", "exact", "unlimited")
     return {
@@ -106,7 +106,7 @@ def _draw_all(
     on_progress: OnProgress,
 ) -> list[str]:
     drawn: dict[str, bool] = {}
-    items = ((name, _pictured(name, outcomes)) for name in figures)
+    items = ((name, _outcomes_for(name, outcomes)) for name in figures)
     for (name, _), future in workers.each(partial(draw, folder=folder, formats=formats), items):
         try:
             drawn[name] = future.result()

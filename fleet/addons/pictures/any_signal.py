@@ -46,7 +46,7 @@ def signals_of_checks(runs: Sequence[LoggedRun]) -> list[SignalName]:
             run.scenario.spec.checks, (looked_at for verdict in run.verdicts for looked_at in verdict.signals)
         )
     ]
-    found += [SignalName(name) for run in runs if run.moored for name in _known(run, OF_THE_LAWS)]
+    found += [SignalName(name) for run in runs if run.moored for name in _known_signals(run, OF_THE_LAWS)]
     others = [name for name in dict.fromkeys(found) if plain_name(name).name not in ERRORS]
     return [name for name in others if any(find_signal(run, name) for run in runs)][:MOST_UNASKED]
 
@@ -70,7 +70,7 @@ def require_signal(runs: Sequence[LoggedRun], name: SignalName) -> None:
         check_view(runs, View((name.vehicle,)))
     if any(find_signal(run, name) for run in runs):
         return
-    known = [other for run in runs for other in _known(run)]
+    known = [other for run in runs for other in _known_signals(run)]
     group = [other for other in known if other.startswith(f"{name.group}.")]
     hint = nearest(name.name, list(dict.fromkeys(known)))
     if not hint:
@@ -112,7 +112,7 @@ def draw(runs: Sequence[LoggedRun], view: View, name: SignalName) -> Figure:
     samples = [series[1] for series in each if series is not None]
     whole = _whole(samples)
     shift = _shift(runs, view, samples) if whole else None
-    shown = getters if shift is None else [_moved(get, shift) for get in getters]
+    shown = getters if shift is None else [_shift_time(get, shift) for get in getters]
     log = bool(view.log_scale) and not whole
     style: dict[str, Any] = {"drawstyle": "steps-post"} if whole else {}
     notes += draw_lines(figure, list(zip(axes, shown, strict=True)), runs, view, log=log, exact=whole, **style)
@@ -132,7 +132,7 @@ def draw(runs: Sequence[LoggedRun], view: View, name: SignalName) -> Figure:
     return figure
 
 
-def _known(run: LoggedRun, groups: Sequence[str] = GROUPS) -> list[str]:
+def _known_signals(run: LoggedRun, groups: Sequence[str] = GROUPS) -> list[str]:
     return [
         f"{group}.{field}"
         for group in groups
@@ -200,7 +200,7 @@ def _shift(runs: Sequence[LoggedRun], view: View, samples: Sequence[Array]) -> d
     return {i: (k - (len(vehicles) - 1) / 2) * step for k, i in enumerate(vehicles)}
 
 
-def _moved(get: Get, shift: dict[int, float]) -> Get:
+def _shift_time(get: Get, shift: dict[int, float]) -> Get:
     def moved(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
         series = get(run, i)
         return None if series is None else (series[0], series[1] + shift[i])

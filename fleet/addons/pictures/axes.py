@@ -167,7 +167,7 @@ class Envelope(NamedTuple):
 
 def reach(lines: Iterable[Series], log: bool = False) -> float:
     """The range of all lines of an axis, in decades if it is logarithmic."""
-    each = [_seen(values[np.isfinite(values)], log) for _, values in lines]
+    each = [_visible(values[np.isfinite(values)], log) for _, values in lines]
     some = [values for values in each if len(values)]
     return float(max(values.max() for values in some) - min(values.min() for values in some)) if some else 0.0
 
@@ -187,7 +187,7 @@ def split_envelope(
         return (t, values), None
     edges = np.linspace(*span, COLUMNS + 1)
     place = np.clip(np.searchsorted(edges, t[good], "right") - 1, 0, COLUMNS - 1)
-    seen = _seen(values[good], log)
+    seen = _visible(values[good], log)
     low, high = np.full(COLUMNS, np.inf), np.full(COLUMNS, -np.inf)
     np.minimum.at(low, place, seen)
     np.maximum.at(high, place, seen)
@@ -216,7 +216,7 @@ def split_envelope(
     return line, Envelope(np.repeat(edges, 2)[1:-1], *shape)
 
 
-def _seen(values: Array, log: bool) -> Array:
+def _visible(values: Array, log: bool) -> Array:
     return np.log10(np.maximum(np.abs(values), SMALLEST)) if log else values
 
 

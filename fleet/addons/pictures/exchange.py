@@ -95,7 +95,7 @@ def spacetime(runs: Sequence[LoggedRun], view: View) -> Figure:
     view = view if view.window else View(view.vehicles, view.log_scale, _moment(run, packets))
     assert view.window is not None
     first, last = view.window
-    shown_ones, every = _about_the_worst(packets, view.window), len({i for link in links for i in link})
+    shown_ones, every = _vehicles_at_worst_link(packets, view.window), len({i for link in links for i in link})
     packets = {link: found for link, found in packets.items() if shown_ones.issuperset(link)}
     vehicles = sorted(shown_ones)
     figure, (ax,) = time_axes(1, runs, view, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
@@ -141,7 +141,9 @@ def spacetime(runs: Sequence[LoggedRun], view: View) -> Figure:
     return figure
 
 
-def _about_the_worst(packets: dict[Link, tuple[Array, Array, Array, Array]], window: tuple[float, float]) -> set[int]:
+def _vehicles_at_worst_link(
+    packets: dict[Link, tuple[Array, Array, Array, Array]], window: tuple[float, float]
+) -> set[int]:
     """The vehicles of these links; of too many those nearest to the link that lost most of its packets in a window."""
     hears: dict[int, set[int]] = {}
     lost: dict[Link, int] = {}

@@ -60,7 +60,7 @@ def timeline(runs: Sequence[LoggedRun], view: View) -> Figure:
     (run,) = runs
     links = links_between(run, view)
     first, last = view.window or (0.0, run.log.end or 1.0)
-    found = {link: _named(run, link, first, last) for link in links}
+    found = {link: _fates_between(run, link, first, last) for link in links}
     sent = [times for times, _ in found.values() if len(times)]
     if not sent:
         raise NothingToDraw("no packet was sent in that time")
@@ -149,7 +149,7 @@ def strips(rows: Sequence[ShareRow], fates: Sequence[str], edges: Array) -> dict
     return found
 
 
-def _named(run: LoggedRun, link: Link, first: float, last: float) -> tuple[Array, Array]:
+def _fates_between(run: LoggedRun, link: Link, first: float, last: float) -> tuple[Array, Array]:
     """(sent [s], fate) of the packets of a link that were sent in a time; what was overtaken is late."""
     sent, due, fate, _ = fates_of(run, link)
     good = np.flatnonzero(fate == Cause.DELIVERED)

@@ -59,10 +59,10 @@ def telling(run: LoggedRun) -> list[str]:
     """Names of pictures, the most telling first: what failed checks look at, then what others do, then errors."""
     failed = [verdict for verdict in run.verdicts if not verdict.passed]
     passed = [verdict for verdict in run.verdicts if verdict.passed and verdict.signals]
-    return [*_of(failed), *_of(passed), *_ELSE]
+    return [*_pictures_of(failed), *_pictures_of(passed), *_ELSE]
 
 
-def _of(verdicts: Iterable[Verdict]) -> list[str]:
+def _pictures_of(verdicts: Iterable[Verdict]) -> list[str]:
     found = []
     for verdict in verdicts:
         signals = [name for name in map(parse_name, verdict.signals) if name is not None]
@@ -99,9 +99,9 @@ def side_by_side(runs: Sequence[LoggedRun], results: Sequence[Result | None]) ->
         ]
         vehicles = list(result.vehicles.values())
         row += [
-            _joined([one.settle_10pct_s for one in vehicles], max, "not settled"),
-            _joined([one.formation_final_m for one in vehicles], max),
-            _joined([one.effort_Ns for one in vehicles], sum),
+            _join_numbers([one.settle_10pct_s for one in vehicles], max, "not settled"),
+            _join_numbers([one.formation_final_m for one in vehicles], max),
+            _join_numbers([one.effort_Ns for one in vehicles], sum),
         ]
         accounts = result.ledger.values()
         entered = sum(account.sent + account.duplicated - account.replaced for account in accounts)
@@ -117,7 +117,7 @@ def believed_errors(run: LoggedRun, vehicles: Iterable[str]) -> dict[str, float]
     return {i: float(one.formation_norm[-1]) for i, one in known if one is not None}
 
 
-def _joined(numbers: Sequence[float | None], join: Callable[[list[float]], float], missing: str = "-") -> str:
+def _join_numbers(numbers: Sequence[float | None], join: Callable[[list[float]], float], missing: str = "-") -> str:
     """One number for all vehicles; `missing`: what stands there if one of them has none."""
     known = [value for value in numbers if value is not None]
     return "-" if not numbers else f"{join(known):.4g}" if len(known) == len(numbers) else missing

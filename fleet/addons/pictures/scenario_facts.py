@@ -24,8 +24,8 @@ def scenario_facts(scenario: Scenario) -> list[tuple[str, Any]]:
     of_vehicles = [
         ("vehicles", scenario.vehicles),
         ("graph", _graph(scenario)),
-        ("controller", _by_vehicle([_laws(control) for control in scenario.controls])),
-        ("profile", _by_vehicle(_profiles(scenario))),
+        ("controller", _words_by_vehicle([_laws(control) for control in scenario.controls])),
+        ("profile", _words_by_vehicle(_profiles(scenario))),
     ]
     of_nodes = [("nodes", ", ".join(scenario.nodes)), ("carries", ", ".join(scenario.spec.carry or ["**"]))]
     return [
@@ -111,7 +111,7 @@ def _profiles(scenario: Scenario) -> list[str]:
     return found
 
 
-def _by_vehicle(words: Sequence[str]) -> str:
+def _words_by_vehicle(words: Sequence[str]) -> str:
     """A value for all vehicles, or with the vehicles that have it: `nboc`, `vehicles 1-3: nboc; vehicle 4: bc`."""
     which: dict[str, list[int]] = {}
     for i, text in enumerate(words, start=1):

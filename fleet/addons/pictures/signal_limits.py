@@ -86,7 +86,7 @@ def _draw_failed(ax: Axes, runs: Sequence[LoggedRun], view: View, name: SignalNa
     first, last = ax.get_xlim()
     for run in runs:
         shown = run.vehicles(view)
-        for at_s, i, value in _failed(run, name):
+        for at_s, i, value in _failures(run, name):
             if i in shown and first <= at_s <= last:
                 ax.plot(
                     at_s, value + shift.get(i, 0.0), "x", color=COLOUR, markersize=5, markeredgewidth=1.2, zorder=6,
@@ -94,7 +94,7 @@ def _draw_failed(ax: Axes, runs: Sequence[LoggedRun], view: View, name: SignalNa
                 )  # fmt: skip
 
 
-def _failed(run: LoggedRun, name: SignalName) -> Iterator[tuple[float, int, float]]:
+def _failures(run: LoggedRun, name: SignalName) -> Iterator[tuple[float, int, float]]:
     """Time [s], vehicle and value of each failure."""
     for verdict in run.verdicts:
         moment = verdict.moment

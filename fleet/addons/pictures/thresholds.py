@@ -39,7 +39,7 @@ def thresholds(runs: Sequence[LoggedRun], error: str) -> list[Threshold]:
         below: Below | None = getattr(checks, f"{error}_error")
         if below is not None:
             after = below.after / 1e9
-            words = f"from {after:g} s{_of(below.vehicles)}"
+            words = f"from {after:g} s{_of_vehicles(below.vehicles)}"
             found.append(Threshold(below.below, after, run.log.end, words, _below(below.below)))
         for check in checks.recovery_time or ():
             if check.error == error:
@@ -67,7 +67,7 @@ def _recoveries(check: Recovery, run: LoggedRun) -> list[Threshold]:
     for fault in faults:
         if check.fault in (EVERY, fault.id) and fault.end < run.log.end:
             later = (other.begin for other in faults if other.id != fault.id and other.begin >= fault.end)
-            words = f"{allowed:g} s after {fault.id}{_of(check.vehicles)}"
+            words = f"{allowed:g} s after {fault.id}{_of_vehicles(check.vehicles)}"
             end = min(later, default=run.log.end)
             found.append(Threshold(check.within, fault.end + allowed, end, words, _below(check.within)))
     return found
@@ -77,7 +77,7 @@ def _below(value: float) -> str:
     return f"below {value:g} m"
 
 
-def _of(vehicles: str | None) -> str:
+def _of_vehicles(vehicles: str | None) -> str:
     return "" if vehicles is None else f", UUV {vehicles}"
 
 

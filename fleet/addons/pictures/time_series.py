@@ -115,7 +115,7 @@ def inputs(runs: Sequence[LoggedRun], view: View) -> Figure:
         figure, axes = panels(len(vehicles), columns, height=_ROW_IN * len(vehicles) + 0.8)
         axes[0].set_xlim(time_span(runs, view))
         places = [(ax, n % columns, [vehicles[n // columns]]) for n, ax in enumerate(axes)]
-    panel = [(ax, _of(some, component("command", "applied", k))) for ax, k, some in places]
+    panel = [(ax, _getter(some, component("command", "applied", k))) for ax, k, some in places]
     # An input is held until the next one.
     notes = draw_lines(figure, panel, runs, view, apart=columns > 1, drawstyle="steps-post")
     saturated = False
@@ -144,7 +144,7 @@ def inputs(runs: Sequence[LoggedRun], view: View) -> Figure:
 _Place = tuple[Axes, int, Sequence[int]]  # axes, the component, and the vehicles that it shows
 
 
-def _of(vehicles: Sequence[int], get: Get) -> Get:
+def _getter(vehicles: Sequence[int], get: Get) -> Get:
     return lambda run, i: get(run, i) if i in vehicles else None
 
 

@@ -201,7 +201,7 @@ def top(runs: Sequence[LoggedRun], view: View) -> Figure:
     """North over east, to scale."""
     tracks, entries = _tracks(runs, view)
     wanted = [places(run, view) for run in runs]
-    ways = _believed(tracks, view)
+    ways = _believed_ways(tracks, view)
     seen = [*(track.positions for track in tracks), *(way.positions for way in ways)]
     low, high = _extent([*seen, *(np.array([*w.values()]) for w in wanted if w)])
     figure, ax, tall = _sheet(low, high)
@@ -215,11 +215,11 @@ def top(runs: Sequence[LoggedRun], view: View) -> Figure:
     draw_ways(ax, [way for way in ways if way.vehicle in distinct])
     for place in (place for w in wanted for i, place in w.items() if i in distinct):
         ax.plot(place[1], place[0], "+", color="black", markersize=6, markeredgewidth=THIN, zorder=5, gid="place")
-    happened = _happened(runs, view, tracks)
+    happened = _happenings(runs, view, tracks)
     for one, colour in happened:
         ax.plot(one.position[1], one.position[0], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5,
                 markersize=6, zorder=6, gid=f"{one.what}-{one.vehicle}")  # fmt: skip
-    entries += _explained(happened, runs, standing, linked=bool(edges), flat=True)
+    entries += _legend_entries(happened, runs, standing, linked=bool(edges), flat=True)
     entries += BELIEF_ENTRIES if ways else []
     _finish(figure, runs, [one for one, _ in happened], [])
     tall &= max(len(str(entry.get_label())) for entry in entries) <= _BESIDE
@@ -264,7 +264,7 @@ def _paint(ax: Any, thing: Primitive) -> None:
 def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
     """The ways; returns the vehicles that are drawn one by one."""
     many = len({track.vehicle for track in tracks}) > MOST_NAMED
-    others, distinct = _apart(tracks)
+    others, distinct = _divide_tracks(tracks)
     if others:
         colours = [track.colour for track in others]
         lines: Any = [track.positions[:, 1::-1] for track in others]
@@ -287,7 +287,7 @@ def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
     return {track.vehicle for track in distinct}
 
 
-def _believed(tracks: list[VehicleTrack], view: View) -> list[BelievedWay]:
+def _believed_ways(tracks: list[VehicleTrack], view: View) -> list[BelievedWay]:
     found = (believed_way(track.run, track.vehicle, track.colour, view) for track in tracks)
     return [way for way in found if way is not None]
 
@@ -297,7 +297,7 @@ def space(runs: Sequence[LoggedRun], view: View) -> Figure:
     tracks, entries = _tracks(runs, view)
     standing = _standing(runs, view)
     courses = [np.array([point[1:] for point in thing.points]) for thing in standing if isinstance(thing, LineShape)]
-    ways = _believed(tracks, view)
+    ways = _believed_ways(tracks, view)
     low, high = _extent([*(track.positions for track in tracks), *(way.positions for way in ways), *courses])
     figure = Figure(figsize=(column_in(), 3.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -310,12 +310,12 @@ def space(runs: Sequence[LoggedRun], view: View) -> Figure:
         _paint_in_space(ax, thing)
     distinct = _draw_in_space(ax, tracks)
     draw_ways_in_space(ax, [way for way in ways if way.vehicle in distinct])
-    happened = _happened(runs, view, tracks)
+    happened = _happenings(runs, view, tracks)
     for one, colour in happened:
         x, y, z = one.position
         ax.plot([y], [x], [z], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5, markersize=6,
                 gid=f"{one.what}-{one.vehicle}")  # fmt: skip
-    entries += _explained(happened, runs, standing, linked=bool(edges), flat=False)
+    entries += _legend_entries(happened, runs, standing, linked=bool(edges), flat=False)
     entries += BELIEF_ENTRIES if ways else []
     scale = f"depth exaggerated {factor} times" if factor > 1 else "depth to scale"
     _finish(figure, runs, [one for one, _ in happened], [scale])
@@ -393,7 +393,7 @@ def _paint_in_space(ax: Any, thing: Primitive) -> None:
 
 def _draw_in_space(ax: Any, tracks: list[VehicleTrack]) -> set[int]:
     """The ways, with their beginnings and ends; returns the vehicles that are drawn one by one."""
-    others, distinct = _apart(tracks)
+    others, distinct = _divide_tracks(tracks)
     if others:
         colours = [track.colour for track in others]
         lines = [track.positions[:, [1, 0, 2]] for track in others]
@@ -448,7 +448,7 @@ def _worst(run: LoggedRun, shown: Sequence[int]) -> list[int]:
     return sorted(outliers([spread(known)], log=True)) if known else []
 
 
-def _apart(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[VehicleTrack]]:
+def _divide_tracks(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[VehicleTrack]]:
     """The tracks that are drawn together because they are many, and those that are drawn one by one, which the legend
     names.
     """
@@ -475,7 +475,7 @@ def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:
     return low, high
 
 
-def _happened(runs: Sequence[LoggedRun], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
+def _happenings(runs: Sequence[LoggedRun], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
     found = []
     for run in runs:
         own = {track.vehicle: track for track in tracks if track.run is run}
@@ -484,7 +484,7 @@ def _happened(runs: Sequence[LoggedRun], view: View, tracks: Sequence[VehicleTra
     return found
 
 
-def _explained(
+def _legend_entries(
     happened: Sequence[tuple[Happening, str]],
     runs: Sequence[LoggedRun],
     standing: Sequence[Primitive],

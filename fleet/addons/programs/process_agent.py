@@ -126,9 +126,9 @@ class ProcessAgent:
         self._config, self._tick_ns = config, config.tick_ns
         words = {"id": config.id, "seed": config.seed, "zenoh": _ENDPOINT}
         given = ("{zenoh}" if word == "tcp/unused" else str(word) for word in arguments)  # scenarios of 1.0 say so
-        self._words = [_filled(word, words) for word in (*self.command, *given)]
+        self._words = [_fill_places(word, words) for word in (*self.command, *given)]
         self._environment = dict(self.variables) | {
-            key: _filled(str(value), words) for key, value in (env or {}).items()
+            key: _fill_places(str(value), words) for key, value in (env or {}).items()
         }
         self._words = self._all_words(words)
         folder = self.plugin_file.parent
@@ -159,8 +159,8 @@ class ProcessAgent:
             return self._words
         programs: list[Any] = [[self.plugin_file.name, self._words, {}, self.ends]]
         for each in self.together:
-            variables = {key: _filled(str(value), places) for key, value in each.environment.items()}
-            programs.append([each.name, [_filled(word, places) for word in each.command], variables, each.ends])
+            variables = {key: _fill_places(str(value), places) for key, value in each.environment.items()}
+            programs.append([each.name, [_fill_places(word, places) for word in each.command], variables, each.ends])
         files = [word for _, words, _, _ in programs for word in words if word.startswith("/")]
         return helper_command("fleet.addons.programs.several_programs", json.dumps(programs), *files)
 
@@ -555,6 +555,6 @@ _PLACE = re.compile(r"\{(id|seed|zenoh)\}")
 _ENDPOINT = f"tcp/127.0.0.1:{ZENOH_PORT}"
 
 
-def _filled(word: str, values: Mapping[str, Any]) -> str:
+def _fill_places(word: str, values: Mapping[str, Any]) -> str:
     """A word with its places filled in. Other braces stay: a program may be given JSON."""
     return _PLACE.sub(lambda found: str(values[found[1]]), word)

@@ -152,9 +152,9 @@ def _improve(
         if likelihood - before < _ENOUGH or step == steps:
             break
         before = likelihood
-        moves = _normalised(pairs)
+        moves = _normalise(pairs)
         loses = np.clip(lost @ posterior / posterior.sum(axis=0), _LEAST, 1.0 - _LEAST)
-        first = _normalised(first_after)
+        first = _normalise(first_after)
         if delays is not None:
             delays = _delays(delay[known], posterior[known], narrowest)
     return HiddenMarkov(moves, loses, first, delays, likelihood, posterior)
@@ -179,7 +179,7 @@ def _delays(known: Array, weights: Array, narrowest: float) -> _Delays:
     return _Delays(mean, np.maximum(np.sqrt(variance), narrowest))
 
 
-def _normalised(weights: Array) -> Array:
+def _normalise(weights: Array) -> Array:
     raised = np.maximum(weights, _LEAST)
     normalised: Array = raised / raised.sum(axis=-1, keepdims=True)
     return normalised

@@ -47,7 +47,7 @@ def _give_up(*_: object) -> None:
     raise TimeoutError
 
 
-def _sent(pid: int, number: int) -> bool:
+def _send_signal(pid: int, number: int) -> bool:
     """Whether a process could be sent a signal, or is gone: that of another user, as `sudo` starts one, cannot."""
     try:
         os.kill(pid, number)
@@ -152,7 +152,7 @@ class Keeper:
     def _end_all(self) -> None:
         """Kill everything that was started here, also what has left the session of its program."""
         while pids := list(descendants([os.getpid()])):
-            sent = [_sent(pid, signal.SIGKILL) for pid in pids]
+            sent = [_send_signal(pid, signal.SIGKILL) for pid in pids]
             if not any(sent):
                 return  # they are another user's
             with suppress(ChildProcessError):
@@ -265,7 +265,7 @@ class KeptProgram:
         elif self.process is not None and not self._killed and paused != self._paused:
             self._paused = paused
             for pid in self._tree():
-                _sent(pid, signal.SIGSTOP if paused else signal.SIGCONT)
+                _send_signal(pid, signal.SIGSTOP if paused else signal.SIGCONT)
             self._keeper.say(at=now, **{"paused" if paused else "resumed": self.name})
         changes = [at for spans in (self._dead, self._held) for span in spans for at in span if at and at > now]
         return min([*changes, self._look_ready(now)], default=now + 10**9)
@@ -415,7 +415,7 @@ class KeptProgram:
             self._close()
         now, killed = monotonic_ns(), self._killed
         for pid in self._tree():  # what it leaves behind would speak in its name
-            _sent(pid, signal.SIGKILL)
+            _send_signal(pid, signal.SIGKILL)
         self.process.returncode = code
         self.process = None
         if killed:
@@ -430,7 +430,7 @@ class KeptProgram:
 
     def _kill(self) -> None:
         for pid in self._tree():
-            _sent(pid, signal.SIGKILL)
+            _send_signal(pid, signal.SIGKILL)
 
     def _tree(self) -> list[int]:
         """Its process and all that it has started, as far as it stays in its session or below it."""

@@ -78,7 +78,7 @@ def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None =
 _Timed = TypeVar("_Timed", bound=TimedFault)
 
 
-def _in_order(*faults: _Timed) -> tuple[_Timed, ...]:
+def _sort_faults(*faults: _Timed) -> tuple[_Timed, ...]:
     """The faults in the order in which they begin."""
     return tuple(sorted(faults, key=lambda fault: fault.begin))
 
@@ -192,8 +192,8 @@ class _BareRun:
                 for absence in part.absences:
                     self._lives.add(absence)
         network, world = self._network, self._world
-        network.faults = _in_order(*network.faults, *(part for part in found if isinstance(part, NetFault)))
-        world.faults = _in_order(*world.faults, *(part for part in found if isinstance(part, WorldFault)))
+        network.faults = _sort_faults(*network.faults, *(part for part in found if isinstance(part, NetFault)))
+        world.faults = _sort_faults(*world.faults, *(part for part in found if isinstance(part, WorldFault)))
         events = begin_and_end(found, fault, scenario.ticks)
         self._events = deque(sorted((*self._events, *events), key=event_order))
 

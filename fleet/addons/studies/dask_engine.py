@@ -44,7 +44,7 @@ class DaskEngine:
         is made once more when all others are made, with no other one beside it; then it alone is to blame."""
         blamed: list[Task] = []
         for task, future in self._each(tasks, _AHEAD * self.workers, wait):
-            if _killed(future):
+            if _is_killed(future):
                 blamed.append(task)
             else:
                 take([_row(task, future)])
@@ -58,7 +58,7 @@ class DaskEngine:
                 under_way[self.client.submit(make_run_in_time, task, pure=False)] = task
             if not under_way:
                 return
-            for future in _finished(under_way, wait):
+            for future in _wait_for_finished(under_way, wait):
                 yield under_way.pop(future), future
 
 
@@ -132,7 +132,7 @@ def check_modules(client: Client, modules: Modules) -> None:
         raise StudyError("the laws cannot be used there: " + "; ".join(problems[:5]))
 
 
-def _finished(under_way: dict[Future[Row], Task], wait: Callable[[], None]) -> list[Future[Row]]:
+def _wait_for_finished(under_way: dict[Future[Row], Task], wait: Callable[[], None]) -> list[Future[Row]]:
     from distributed import CancelledError
     from distributed import wait as until
 
@@ -145,7 +145,7 @@ def _finished(under_way: dict[Future[Row], Task], wait: Callable[[], None]) -> l
             raise StudyError(f"the scheduler is gone: {error!s:.200}") from None
 
 
-def _killed(future: Future[Row]) -> bool:
+def _is_killed(future: Future[Row]) -> bool:
     return future.status != "finished" and type(future.exception()).__name__ == "KilledWorker"
 
 
@@ -153,4 +153,4 @@ def _row(task: Task, future: Future[Row]) -> Row:
     if future.status == "finished":
         return future.result()
     error = future.exception()
-    return lost_row(task, LOST if _killed(future) else f"{type(error).__name__}: {error!s:.500}")
+    return lost_row(task, LOST if _is_killed(future) else f"{type(error).__name__}: {error!s:.500}")

@@ -221,7 +221,7 @@ class Regression:
             on_progress(made // self.times)
 
         engine.make(tasks(), take, lambda: on_progress(made // self.times))
-        return [_compared(failure, rows[number]) for number, failure in enumerate(self.failures)]
+        return [_compare(failure, rows[number]) for number, failure in enumerate(self.failures)]
 
     def accept(self, found: list[RegressionResult]) -> list[RegressionResult]:
         """Expect from now on what came out: the verdict, and the digest of the log.
@@ -251,7 +251,7 @@ class Regression:
         return settled
 
 
-def _compared(failure: FoundFailure, rows: list[Row]) -> RegressionResult:
+def _compare(failure: FoundFailure, rows: list[Row]) -> RegressionResult:
     row, fails, of = majority(rows, failure.check)
     found = _compared_one(failure, row)
     if len(rows) == 1 or found.broken:

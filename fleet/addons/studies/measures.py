@@ -42,17 +42,17 @@ class Measure:
     of: Callable[[Result], float]  # computes it
 
 
-def _over_vehicles(number: Callable[[VehicleResult], float | None], join: Join) -> Callable[[Result], float]:
+def _join_vehicles(number: Callable[[VehicleResult], float | None], join: Join) -> Callable[[Result], float]:
     """A number of all vehicles; NaN if one of them does not have it."""
-    return lambda result: _joined([number(row) for row in result.vehicles.values()], join)
+    return lambda result: _join([number(row) for row in result.vehicles.values()], join)
 
 
-def _over_links(number: Callable[[LinkAge], float]) -> Callable[[Result], float]:
+def _join_links(number: Callable[[LinkAge], float]) -> Callable[[Result], float]:
     """The largest number of all links; NaN if one of them heard nothing."""
-    return lambda result: _joined([number(row) for link, row in result.ages.items() if link != "*"], max)
+    return lambda result: _join([number(row) for link, row in result.ages.items() if link != "*"], max)
 
 
-def _joined(numbers: list[float | None], join: Join) -> float:
+def _join(numbers: list[float | None], join: Join) -> float:
     found = [float(x) for x in numbers if x is not None and isfinite(x)]
     return join(found) if found and len(found) == len(numbers) else nan
 
@@ -70,7 +70,7 @@ def _loss(result: Result) -> float:
     return _LOST(result) / sent if sent else nan
 
 
-def _failed(result: Result) -> float:
+def _failed_share(result: Result) -> float:
     return float(sum(not verdict.passed for verdict in result.checks)) if result.checks else nan
 
 
@@ -100,7 +100,7 @@ _RUN: tuple[tuple[str, str, str, Callable[[Result], float]], ...] = (
     ("loss_share", "", "share of the packets that were lost", _loss),
     ("tumbles", "", "times that a vehicle tumbled", lambda result: float(len(result.tumbles))),
     ("deaths", "", "agents that ended by themselves", lambda result: float(sum(map(len, result.deaths.values())))),
-    ("checks_failed", "", "checks that failed", _failed),
+    ("checks_failed", "", "checks that failed", _failed_share),
     ("sim_s", "s", "simulated time", lambda result: result.sim_s),
     ("wall_s", "s", "wall time of the run", lambda result: result.wall.run_s),
 )
@@ -113,8 +113,8 @@ _LARGEST = frozenset(  # where they are missing; else nothing is known
 MEASURES: dict[str, Measure] = {
     name: Measure(MeasureColumn(name, unit, name in _LARGEST), what, of)
     for name, unit, what, of in (
-        *((name, unit, what, _over_vehicles(number, join)) for name, unit, what, number, join in _VEHICLES),
-        *((name, unit, what, _over_links(age)) for name, unit, what, age in _LINKS),
+        *((name, unit, what, _join_vehicles(number, join)) for name, unit, what, number, join in _VEHICLES),
+        *((name, unit, what, _join_links(age)) for name, unit, what, age in _LINKS),
         *_RUN,
     )
 }

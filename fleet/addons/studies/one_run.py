@@ -73,7 +73,7 @@ def make_run(task: Task) -> Row:
 
     A run that takes too long ends between two ticks. Where a law hangs within a tick, it does not end.
     """
-    return whole_row(task, _made(task))
+    return whole_row(task, _make(task))
 
 
 def make_run_in_time(task: Task) -> Row:
@@ -88,7 +88,7 @@ def make_run_in_time(task: Task) -> Row:
 
     def make() -> None:
         with suppress(_AbandonedError):
-            rows.append(_made(task))
+            rows.append(_make(task))
 
     thread = threading.Thread(target=make, daemon=True)
     thread.start()
@@ -105,7 +105,7 @@ def whole_row(task: Task, row: Row) -> Row:
     return row
 
 
-def _made(task: Task) -> Row:
+def _make(task: Task) -> Row:
     began = time.monotonic()
 
     def check(_: float) -> None:
@@ -115,10 +115,10 @@ def _made(task: Task) -> Row:
     try:
         scenario = scenario_of(task)
         if task.branches is not None:
-            return _of_futures(task, run_branches(scenario, task.branches, check))
+            return _futures_row(task, run_branches(scenario, task.branches, check))
         if task.healed:
-            return _of_futures(task, healed_runs(task, scenario))
-        return _of_all_checks(_whole(task, scenario, check), scenario)
+            return _futures_row(task, healed_runs(task, scenario))
+        return _add_program_check(_whole(task, scenario, check), scenario)
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         return failed_row(task, error)
 
@@ -126,7 +126,7 @@ def _made(task: Task) -> Row:
 def _whole(task: Task, scenario: Scenario, check: Callable[[float], None]) -> Row:
     in_time = check if isfinite(task.timeout_s) else None
     if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
-        return _by_verdicts(task, verdicts)
+        return _verdict_row(task, verdicts)
     if scenario.spec.triggers:
         scenario = with_triggers_resolved(task)
     samples = Samples(scenario, task.signals)
@@ -137,7 +137,7 @@ def _whole(task: Task, scenario: Scenario, check: Callable[[float], None]) -> Ro
     return measured_row(result, samples)
 
 
-def _of_all_checks(row: Row, scenario: Scenario) -> Row:
+def _add_program_check(row: Row, scenario: Scenario) -> Row:
     """The same with the check of programs: a run shows it when one has failed, and otherwise passes it."""
     if row.judged and scenario.speaking and scenario.spec.checks.programs is None:
         row.checks.setdefault(PROGRAMS, CheckRow(True, 0.0, 0.0))
@@ -156,7 +156,7 @@ def healed_runs(task: Task, scenario: Scenario) -> list[Row]:
             run = Run.prepared(scenario, NoDigest()) if run is None else run
             if tick > run.tick:
                 run.go(tick - run.tick)
-            make = partial(_healed, run, task._replace(text=text))
+            make = partial(_make_healed, run, task._replace(text=text))
             if tick < task.healed[-1][0] and run.can_be_copied and can_copy():
                 rows.append(in_child_process(make))
             else:
@@ -168,13 +168,13 @@ def healed_runs(task: Task, scenario: Scenario) -> list[Row]:
     return rows
 
 
-def _healed(run: Run, task: Task) -> Row:
+def _make_healed(run: Run, task: Task) -> Row:
     before, scenario = run.scenario, scenario_of(task)
     with run:
         run.heal_as(scenario)
         result = run.to_end()
     gone = _own_checks(before) - _own_checks(scenario)  # those about faults that never began
-    checks, _ = _judged(verdict for verdict in result.checks if verdict.check not in gone)
+    checks, _ = _check_rows(verdict for verdict in result.checks if verdict.check not in gone)
     return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason), checks=checks)
 
 
@@ -182,12 +182,12 @@ def _own_checks(scenario: Scenario) -> set[str]:
     return {check.name for check in scenario.spec.checks.own()}
 
 
-def _of_futures(task: Task, futures: list[Row]) -> Row:
+def _futures_row(task: Task, futures: list[Row]) -> Row:
     return Row(seed=task.seed, status=Status.PASS, futures=futures)
 
 
-def _by_verdicts(task: Task, verdicts: Sequence[Verdict]) -> Row:
-    checks, numbers = _judged(verdicts)
+def _verdict_row(task: Task, verdicts: Sequence[Verdict]) -> Row:
+    checks, numbers = _check_rows(verdicts)
     passed = all(verdict.passed for verdict in verdicts)
     status = Status.PASS if passed else Status.CHECK_FAILED
     return Row(seed=task.seed, status=status, passed=passed, checks=checks, numbers=numbers)
@@ -241,7 +241,7 @@ def _read(task: Task, then: Callable[[Scenario], Scenario]) -> Scenario:
 
 def measured_row(result: Result, samples: Samples) -> Row:
     """The row of a run with a result."""
-    checks, numbers = _judged(result.checks)
+    checks, numbers = _check_rows(result.checks)
     numbers |= {name: float(measure.of(result)) for name, measure in MEASURES.items()}
     numbers |= {name: float(value) for name, value in samples.numbers().items()}
     return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason),
@@ -249,7 +249,7 @@ def measured_row(result: Result, samples: Samples) -> Row:
                passed=result.passed, checks=checks, numbers=numbers)  # fmt: skip
 
 
-def _judged(verdicts: Iterable[Verdict]) -> tuple[dict[str, CheckRow], dict[str, float]]:
+def _check_rows(verdicts: Iterable[Verdict]) -> tuple[dict[str, CheckRow], dict[str, float]]:
     """The rows of some verdicts, and which of those were reached that some run must reach."""
     checks, numbers = dict[str, CheckRow](), dict[str, float]()
     for verdict in verdicts:

@@ -109,7 +109,7 @@ def _run(asked: _Asked, seeds: list[int], directory: Path) -> list[Result]:
         if mistake:  # outside, or pytest would show the error twice
             pytest.fail(mistake, pytrace=False)
         if not result.passed:
-            log = log or _kept(asked, seed, directory.with_name(f"{directory.name}-seed-{seed}"))
+            log = log or _keep_run(asked, seed, directory.with_name(f"{directory.name}-seed-{seed}"))
             pytest.fail(_words(asked, result, len(seeds), log), pytrace=False)
         found.append(result)
         for verdict in result.checks:
@@ -138,7 +138,7 @@ def _once(asked: _Asked, seed: int) -> tuple[Result, str]:
     return result, f"its log: {result.directory} (fleet view {result.directory})"
 
 
-def _kept(asked: _Asked, seed: int, directory: Path) -> str:
+def _keep_run(asked: _Asked, seed: int, directory: Path) -> str:
     """Make a run once more, with its directory; returns where that is, or why there is none."""
     from fleet.addons.studies.one_run import run_and_record
 

@@ -91,7 +91,7 @@ class Shrinker:
                 break
         last = self._run([self._tree])[0]
         least = parse_scenario(json.dumps(self._tree), self._name)
-        return Shrunk(least, self._check, (_found(first, self._check), _found(last, self._check)),
+        return Shrunk(least, self._check, (_describe_found(first, self._check), _describe_found(last, self._check)),
                       len(self._rows), steps, last.digest or "")  # fmt: skip
 
     def _failed(self, row: Row, check: str | None) -> str:
@@ -275,7 +275,7 @@ def tree_of(scenario: Scenario) -> Tree:
     return values
 
 
-def _found(row: Row, check: str) -> str:
+def _describe_found(row: Row, check: str) -> str:
     value = row.checks[check].value
     return "no finite value" if value is None or not isfinite(value) else f"{value:.4g}"
 

@@ -278,7 +278,7 @@ def run_stack(scenario: Scenario, out: Path) -> Result:
     """
     why = ""
     for _ in range(TRIES):
-        result = _made(scenario, out)
+        result = _make(scenario, out)
         if not (why := lateness(result)):
             return result
     raise FleetError(f"{scenario.name} was late {TRIES} times, so it says nothing: {why}")
@@ -290,7 +290,7 @@ def lateness(result: Result) -> str:
     return "" if found is None else found.found
 
 
-def _made(scenario: Scenario, out: Path) -> Result:
+def _make(scenario: Scenario, out: Path) -> Result:
     with PrivateFolder("stack") as own:
         file = own / f"{scenario.name}.yaml"
         file.write_text(scenario.to_yaml(), "utf-8")

@@ -108,7 +108,7 @@ class Store:
                     file.execute(table)
                 file.executemany(f"INSERT INTO points VALUES ({_places(2 + len(record.axes))})", rows)
             write_record(part, record)
-            while not _renamed(part, directory):
+            while not _rename(part, directory):
                 if (other := next(others, None)) is None:
                     raise StudyError(f"{directory} is there already: choose another place")
                 directory = other
@@ -474,7 +474,7 @@ def cell(axis: AxisRecord, value: AxisValue) -> float | str | None:
     return value.text if axis.unit is None else value.number
 
 
-def _renamed(part: Path, directory: Path) -> bool:
+def _rename(part: Path, directory: Path) -> bool:
     """Give a directory its name, unless something has that name. Another program may do the same at this moment."""
     try:
         if directory.exists():

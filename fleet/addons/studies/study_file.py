@@ -135,7 +135,7 @@ def study_yaml(spec: StudySpec) -> str:
     values = msgspec.to_builtins(with_whole_path(spec))
     values["seeds"] = int(spec.seeds) if spec.seeds.isdecimal() else spec.seeds
     if spec.set:
-        values["set"] = {key: _nested(text) for key, text in spec.set.items()}
+        values["set"] = {key: _parse_nested(text) for key, text in spec.set.items()}
     for key in ("net", "fault"):
         if len(values.get(key, ())) == 1:
             (values[key],) = values[key]
@@ -156,7 +156,7 @@ def is_file(scenario: str, folder: Path = Path()) -> bool:
     return bool(Path(scenario).suffix) or "/" in scenario or (folder / scenario).exists()
 
 
-def _nested(text: str) -> Any:
+def _parse_nested(text: str) -> Any:
     if _NESTED.match(text):
         node, problems = read(Source("", text))
         if not problems and isinstance(node, Mapping | Items) and inline(plain(node)) == text:

@@ -344,7 +344,7 @@ def point_warnings(plan: Plan, scenarios: Sequence[Scenario]) -> list[str]:
     for point, scenario in zip(plan.points, scenarios, strict=True):
         for text in check_warnings(scenario):
             found.setdefault(_without_values(text, point), (text, []))[1].append(point)
-    return [text + _of_points(points, plan) for text, points in found.values()]
+    return [text + _points_words(points, plan) for text, points in found.values()]
 
 
 def _same(problem: Problem, point: Point) -> str:
@@ -375,10 +375,10 @@ def _with_points(problem: Problem, points: list[Point], plan: Plan) -> Problem:
         )
     elif "." not in key and hint.startswith("known here"):  # all keys would hide the way to a name of one's own
         hint = f"a key of a scenario, such as network.period; or use it, as in --net '* loss {{{key}}}'"
-    return replace(problem, message=problem.message + _of_points(points, plan), hint=hint)
+    return replace(problem, message=problem.message + _points_words(points, plan), hint=hint)
 
 
-def _of_points(points: list[Point], plan: Plan) -> str:
+def _points_words(points: list[Point], plan: Plan) -> str:
     if len(points) == len(plan.points):
         return ""
     return f" (in {len(points)} of {len(plan.points)} points, first {points[0].shown})"

@@ -98,12 +98,12 @@ def _trace(parts: Parts, report: Report, path: Path, section: LinkSection) -> in
         for problem in error.problems:
             report.add((*path, "trace"), shown + problem)
         return 0
-    for key, problem, hint in _misused(section, table):
+    for key, problem, hint in _misuses(section, table):
         report.add((*path, key), problem, hint, key=key != "trace")
     return len(table.text()) + len(table.rows)  # a line break is two characters there
 
 
-def _misused(section: LinkSection, table: TraceTable) -> Iterator[tuple[str, str, str]]:
+def _misuses(section: LinkSection, table: TraceTable) -> Iterator[tuple[str, str, str]]:
     """The options that do not fit each other or the columns: key, sentence, and hint."""
     by_packet = section.by == "packet"
     times = [row.time_ns for row in table.rows if row.time_ns is not None]

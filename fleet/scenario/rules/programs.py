@@ -41,7 +41,7 @@ def programs(parts: Parts, report: Report) -> None:
     for key, section in (spec.programs or {}).items():
         path, pattern = ("programs", key), key.partition("/")[0]
         if not nodes_of(pattern, names):
-            report.add(path, f"there is no node {pattern}", _known(pattern, names), key=True)
+            report.add(path, f"there is no node {pattern}", _hint(pattern, names), key=True)
         folder = Path(parts.folder or "", section.folder or "")
         if not folder.is_dir():
             report.add((*path, "in"), f"there is no folder {folder}", "it is looked for from the folder of the file")
@@ -83,7 +83,7 @@ def signals(parts: Parts, report: Report) -> None:
     for name, section in (spec.signals or {}).items() if nodes else ():
         found = nodes_of(section.of, nodes)
         if not found:
-            report.add(("signals", name, "of"), f"there is no node {section.of}", _known(section.of, nodes))
+            report.add(("signals", name, "of"), f"there is no node {section.of}", _hint(section.of, nodes))
         key = section.message
         if key is None:
             continue
@@ -108,5 +108,5 @@ def signals(parts: Parts, report: Report) -> None:
                 break
 
 
-def _known(name: str, names: list[str]) -> str:
+def _hint(name: str, names: list[str]) -> str:
     return nearest(name, names) or f"the nodes are {', '.join(names)}"

@@ -236,7 +236,7 @@ RUNNING, DONE = "running", "done"
 _Wanted = Literal["running", "done", "waived"]
 
 
-def _wanted(value: Any) -> Any:
+def _read_endings(value: Any) -> Any:
     return {"*": value} if isinstance(value, str) else value
 
 
@@ -246,7 +246,7 @@ def _show_wanted(value: Mapping[str, str] | None) -> Any:
 
 # running: it does not end by itself. done: it ends by itself before the run does, with status 0. Programs of vehicles
 # may do both, but not fail; waived: they may.
-ProgramsCheck = Annotated[dict[str, _Wanted], BeforeValidator(_wanted), PlainSerializer(_show_wanted)]
+ProgramsCheck = Annotated[dict[str, _Wanted], BeforeValidator(_read_endings), PlainSerializer(_show_wanted)]
 
 
 def expected_ending(check: Mapping[str, str] | None, name: str, node: str) -> str:

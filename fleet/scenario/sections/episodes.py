@@ -102,7 +102,7 @@ def chance(isolations: int, vehicles: int, episodes: int) -> float:
 
 def draw(nemesis: NemesisSection, targets: NemesisTargets) -> tuple[list[FaultSection], list[TriggerSection]]:
     """The faults that the scenario's seed draws, in order of time; and those that wait for a report."""
-    work = _drawn(nemesis, targets)
+    work = _draw_all(nemesis, targets)
     return sorted(work.faults, key=lambda fault: fault.at), work.triggers
 
 
@@ -112,13 +112,13 @@ def count_episodes(
     """How many episodes of each kind and how many faults of each kind some seeds draw."""
     of_episodes, of_faults = Counter[str](), Counter[str]()
     for seed in seeds:
-        work = _drawn(nemesis, targets._replace(spec=targets.spec.model_copy(update={"seed": seed})))
+        work = _draw_all(nemesis, targets._replace(spec=targets.spec.model_copy(update={"seed": seed})))
         of_episodes += work.of_episodes
         of_faults += work.of_faults
     return of_episodes, of_faults
 
 
-def _drawn(nemesis: NemesisSection, targets: NemesisTargets) -> _Drawn:
+def _draw_all(nemesis: NemesisSection, targets: NemesisTargets) -> _Drawn:
     picked = [pick.drawn for pick in nemesis.pick or ()] or KINDS
     among = [kind for kind in picked if kind and (targets.links or kind not in ("partition", "hold", "duplicate"))]
     draws = _Draws(targets.spec.seed)

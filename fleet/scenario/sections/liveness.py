@@ -81,7 +81,7 @@ def core_checks(checks: ChecksSection, nemesis: NemesisSection, targets: Nemesis
     heal, some = heal_time(nemesis, targets), core(nemesis, targets)
     changes: dict[str, Any] = {}
     if checks.signal is not None:
-        changes["signal"] = [_of_signal(check, some, heal) for check in checks.signal]
+        changes["signal"] = [_restrict_signal_check(check, some, heal) for check in checks.signal]
     for name in ("formation_error", "consensus_error", "connected"):
         if (check := getattr(checks, name)) is not None:
             after = max(check.after, heal)
@@ -93,7 +93,7 @@ def core_checks(checks: ChecksSection, nemesis: NemesisSection, targets: Nemesis
     return checks.model_copy(update=changes)
 
 
-def _of_signal(check: SignalCheck, some: list[int], heal: int) -> SignalCheck:
+def _restrict_signal_check(check: SignalCheck, some: list[int], heal: int) -> SignalCheck:
     if check.eventually_within is None and check.agree_within is None:
         return check
     those = _some(check.vehicles, some)

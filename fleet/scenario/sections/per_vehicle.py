@@ -80,10 +80,10 @@ def merge_overrides(spec: ScenarioSpec, entries: Entries) -> VehicleOverrides:
     """Every section that may be per vehicle, as it holds for the vehicles that these entries of `per_vehicle` name."""
     layers = [VehicleOverrides.model_construct(**{key: getattr(spec, key) for key in VehicleOverrides.model_fields})]
     layers += [overrides for entry, overrides in spec.per_vehicle.items() if entry in entries]
-    return reduce(_over, layers)
+    return reduce(_override, layers)
 
 
-def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
+def _override(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
     values: dict[str, Any] = {}
     for key in VehicleOverrides.model_fields:
         low, high = getattr(below, key), getattr(above, key)
@@ -92,7 +92,7 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
         elif low is None or isinstance(high, (str, bool, LawSection)):
             values[key] = high
         elif isinstance(high, AgentSection):
-            values[key] = _over_agent(low, high)
+            values[key] = _override_agent(low, high)
         elif isinstance(high, VehicleSection) and (high.model is not None or high.plant is not None):
             values[key] = high  # another vehicle, not this one with some of its numbers
         elif isinstance(high, NavigationSection):
@@ -116,7 +116,7 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
     return VehicleOverrides.model_construct(**values)
 
 
-def _over_agent(below: AgentSection, above: AgentSection) -> AgentSection:
+def _override_agent(below: AgentSection, above: AgentSection) -> AgentSection:
     """An agent over another, and what is written of its clock over that of the other's."""
     law = above if above.law is not None else below
     low, high = below.clock, above.clock
@@ -155,8 +155,10 @@ def control(
         controller=_law(choice.controller) if names is None else None,
         guidance_law=Law(guidance_name, choice.guidance.parameters or {}),
         tracking_law=Law(tracking_name, choice.tracking.parameters or {}),
-        guidance=replace(profile(name, guidance=guidance_name)[0], **_tuned(choice.guidance) | {"qp_ticks": qp_ticks}),
-        tracking=replace(profile(name, tracking=tracking_name)[1], **_tuned(choice.tracking)),
+        guidance=replace(
+            profile(name, guidance=guidance_name)[0], **_tuned_values(choice.guidance) | {"qp_ticks": qp_ticks}
+        ),
+        tracking=replace(profile(name, tracking=tracking_name)[1], **_tuned_values(choice.tracking)),
         extrapolation=choice.neighbours.extrapolate,
         age_cap_s=choice.neighbours.age_cap / 1e9,
         drop_after_s=choice.neighbours.drop_after / 1e9,
@@ -212,7 +214,7 @@ def given_values(section: Section) -> dict[str, Any]:
     return {key: value for key, value in section if value is not None}
 
 
-def _tuned(section: Section) -> dict[str, Any]:
+def _tuned_values(section: Section) -> dict[str, Any]:
     """The parameters that a section sets, but for the period of the QP."""
     values = {
         key: value for key, value in given_values(section).items() if key not in ("law", "parameters", "qp_period")
@@ -222,7 +224,7 @@ def _tuned(section: Section) -> dict[str, Any]:
 
 def guidance_section(params: GuidanceParams, law: str, tick_ns: int) -> GuidanceSection:
     """Every parameter that a law uses, as a scenario would give it."""
-    values = _shown(GuidanceSection, "guidance", params, law)
+    values = _shown_values(GuidanceSection, "guidance", params, law)
     return GuidanceSection.model_construct(
         **{key: value * tick_ns if key == "qp_period" else value for key, value in values.items()}
     )
@@ -230,10 +232,12 @@ def guidance_section(params: GuidanceParams, law: str, tick_ns: int) -> Guidance
 
 def tracking_section(params: TrackingParams, law: str) -> TrackingSection:
     """Every parameter that a law uses, as a scenario would give it."""
-    return TrackingSection.model_construct(**_shown(TrackingSection, "tracking", params, law))
+    return TrackingSection.model_construct(**_shown_values(TrackingSection, "tracking", params, law))
 
 
-def _shown(section: type[Section], kind: str, params: GuidanceParams | TrackingParams, law: str) -> dict[str, Any]:
+def _shown_values(
+    section: type[Section], kind: str, params: GuidanceParams | TrackingParams, law: str
+) -> dict[str, Any]:
     keys = sorted(used_keys(kind, law).intersection(section.model_fields), key=[*section.model_fields].index)
     values = {key: getattr(params, _NAMES.get(key, key)) for key in sorted(keys, key=_NAMES.__contains__)}
     return {key: round(value * 1e9) if key in _TIMES else value for key, value in values.items()}

@@ -222,18 +222,18 @@ def _turn(one: DrawnFault, targets: NemesisTargets) -> float:
     return uniform(targets.spec.seed, PURPOSE, one.number, _TURN)
 
 
-def _among(one: DrawnFault, targets: NemesisTargets, what: int, count: int) -> int:
+def _choose(one: DrawnFault, targets: NemesisTargets, what: int, count: int) -> int:
     return bits(targets.spec.seed, PURPOSE, one.number, what) % count
 
 
-def _aimed(one: DrawnFault, targets: NemesisTargets, past: _Past) -> int | None:
+def _aimed_vehicle(one: DrawnFault, targets: NemesisTargets, past: _Past) -> int | None:
     """The vehicle that a fault is aimed at; None: any."""
     match one.aim:
         case "leader":
             return leader(targets)
         case "hub":
             most = hubs(targets)
-            return most[_among(one, targets, _TARGET, len(most))]
+            return most[_choose(one, targets, _TARGET, len(most))]
         case "speaker":
             return past.speaker(one.at) or last_slot(targets)
     return None
@@ -241,40 +241,40 @@ def _aimed(one: DrawnFault, targets: NemesisTargets, past: _Past) -> int | None:
 
 def _bridge(one: DrawnFault, targets: NemesisTargets, past: _Past) -> Pair | None:
     found = bridges(past.remaining_pairs(one.at)) if one.aim == "bridge" else ()
-    return found[_among(one, targets, _TARGET, len(found))] if found else None
+    return found[_choose(one, targets, _TARGET, len(found))] if found else None
 
 
 def _vehicle(one: DrawnFault, targets: NemesisTargets, past: _Past) -> int:
     """The vehicle of a fault, among those with the part that the fault breaks."""
     has = {"clock": targets.clocks, "dead reckoning": targets.navigators, "fixes": targets.fixed}
     some = has.get(KINDS[one.pick.drawn or ""].needs) or tuple(range(1, targets.spec.vehicles + 1))
-    who = _aimed(one, targets, past)
+    who = _aimed_vehicle(one, targets, past)
     if who is None and (pair := _bridge(one, targets, past)) is not None:
-        who = pair[_among(one, targets, _FORM, 2)]
-    return who if who in some else some[_among(one, targets, _TARGET, len(some))]
+        who = pair[_choose(one, targets, _FORM, 2)]
+    return who if who in some else some[_choose(one, targets, _TARGET, len(some))]
 
 
 def _links(one: DrawnFault, targets: NemesisTargets, past: _Past) -> Selector:
     """The links of a fault: both links of a pair, one of them, all links of a vehicle, or all links."""
-    form = _among(one, targets, _FORM, 4)
-    who = _aimed(one, targets, past)
+    form = _choose(one, targets, _FORM, 4)
+    who = _aimed_vehicle(one, targets, past)
     if who is not None and any(who in link for link in targets.links):
         ways = [Selector(who, None), Selector(None, who), Selector(None, who, both=True)]
         there = [way for way in ways if select(way, targets.links)]
         return there[form % len(there)]
     if one.aim == "any" and form == 3 and one.pick.drawn != "down":
         return Selector(None, None)
-    pair = _bridge(one, targets, past) or past.pairs[_among(one, targets, _TARGET, len(past.pairs))]
+    pair = _bridge(one, targets, past) or past.pairs[_choose(one, targets, _TARGET, len(past.pairs))]
     if form == 0 and one.aim == "any":
         ways = [Selector(*link) for link in (pair, pair[::-1]) if link in targets.links]
-        return ways[_among(one, targets, _TURN, len(ways))]
+        return ways[_choose(one, targets, _TURN, len(ways))]
     return Selector(*pair, both=True)
 
 
 def _partition(one: DrawnFault, targets: NemesisTargets, past: _Past) -> str:
     """The partition of a fault, as a scenario writes it; it cuts a link."""
     spec, name = targets.spec, f"nemesis-{one.number}"
-    who = _aimed(one, targets, past)
+    who = _aimed_vehicle(one, targets, past)
     if who is not None and any(who in link for link in targets.links):
         return f"isolate:{who}"
     if (pair := _bridge(one, targets, past)) is not None:
@@ -284,7 +284,7 @@ def _partition(one: DrawnFault, targets: NemesisTargets, past: _Past) -> str:
             return " / ".join(",".join(map(str, group)) for group in (sorted(there), rest))
     among = ("halves",) if one.pieces > 1 else ("halves", *DRAWN_PARTITIONS)  # each piece would cut something else
     ways = [way for way in among if partition(way, spec.vehicles, spec.seed, name, targets.links)]
-    return ways[_among(one, targets, _TARGET, len(ways))] if ways else f"isolate:{targets.links[0][0]}"
+    return ways[_choose(one, targets, _TARGET, len(ways))] if ways else f"isolate:{targets.links[0][0]}"
 
 
 def condition(kind: str, own: Condition, strength: Strength) -> Condition:

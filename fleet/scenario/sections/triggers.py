@@ -88,7 +88,7 @@ def fault_of(
     if any(not numbers[word] for word in _relative(trigger.fault)):
         return None
     times = {"at": f"{at} ns"} | ({} if trigger.for_ is None else {"for": f"{trigger.for_} ns"})
-    return read_entry({"id": name, **times, **_resolved(trigger.fault, numbers)})
+    return read_entry({"id": name, **times, **_resolve(trigger.fault, numbers)})
 
 
 def _relative(value: Any) -> set[str]:
@@ -98,11 +98,11 @@ def _relative(value: Any) -> set[str]:
     return set(_RELATIVE.findall(value)) if isinstance(value, str) else set()
 
 
-def _resolved(value: Any, numbers: Mapping[str, str]) -> Any:
+def _resolve(value: Any, numbers: Mapping[str, str]) -> Any:
     if isinstance(value, str):
         return _RELATIVE.sub(lambda match: numbers[match[1]], value)
     if isinstance(value, dict):
-        return {_resolved(key, numbers): _resolved(one, numbers) for key, one in value.items()}
+        return {_resolve(key, numbers): _resolve(one, numbers) for key, one in value.items()}
     return value
 
 

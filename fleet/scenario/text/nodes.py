@@ -35,7 +35,7 @@ _EDGE = re.compile(r"\s*(\w+)\s*(<->|->|-)\s*(\w+)\s*", re.ASCII)
 
 def nodes_to_vehicles(root: Mapping, problems: list[Problem]) -> Mapping:
     """The tree of a scenario with nodes as that of one with vehicles; mistakes in names are added to `problems`."""
-    root = _isolated(root)
+    root = _spread_isolate(root)
     nodes = root.entries["nodes"]
     if not isinstance(nodes, Mapping):
         return root
@@ -60,16 +60,16 @@ def nodes_to_vehicles(root: Mapping, problems: list[Problem]) -> Mapping:
             graph = graph.with_entry("reference", graph.place, _tree([1], graph.place))
         root = root.with_entry("graph", root.keys["graph"], graph)
     if "checks" in root.entries:
-        root = root.with_entry("checks", root.keys["checks"], _of_signals(root.entries["checks"], root))
+        root = root.with_entry("checks", root.keys["checks"], _with_whole_signal_names(root.entries["checks"], root))
     network = root.entries.get("network")
     said = network.entries if isinstance(network, Mapping) else [network.value] if isinstance(network, Scalar) else ()
-    for key, value in _added(nodes, water="acoustic" in said).items():
+    for key, value in _added_keys(nodes, water="acoustic" in said).items():
         if key not in root.entries:
             root = root.with_entry(key, nodes.place, _tree(value, nodes.place))
     return root
 
 
-def _isolated(root: Mapping) -> Mapping:
+def _spread_isolate(root: Mapping) -> Mapping:
     """The tree with `isolate` at each node, if it is given for all."""
     nodes, all_of_them = root.entries["nodes"], root.entries.get("isolate")
     if all_of_them is None or not isinstance(nodes, Mapping):
@@ -95,7 +95,7 @@ def with_moored_defaults(root: Mapping) -> Mapping:
     return root
 
 
-def _of_signals(checks: Node, root: Mapping) -> Node:
+def _with_whole_signal_names(checks: Node, root: Mapping) -> Node:
     """The checks with whole names of signals: those of nodes are named alone."""
     told = root.entries.get("signals")
     if not (isinstance(checks, Mapping) and isinstance(told, Mapping) and "signal" in checks.entries):
@@ -180,7 +180,7 @@ def vehicles_to_nodes(values: dict[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def _added(nodes: Mapping, *, water: bool) -> dict[str, Any]:
+def _added_keys(nodes: Mapping, *, water: bool) -> dict[str, Any]:
     """The keys that a scenario of vehicles needs and one of nodes leaves out."""
     count = len(nodes.entries)
     places = []

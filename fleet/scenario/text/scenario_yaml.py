@@ -34,7 +34,7 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
     if spec.nodes is not None:
         values = vehicles_to_nodes(values)
     lines: list[str] = []
-    supplied = {} if spec.nodes is not None else _supplied(spec)
+    supplied = {} if spec.nodes is not None else _supplied_values(spec)
     for key, value in values.items():
         lines += entry(key, value, 0) if value != {} else [f"{key}:"]
         origin, given = supplied.get(key, ("", {}))
@@ -61,7 +61,7 @@ def _per_vehicle(spec: ScenarioSpec) -> dict[str, Any]:
     }
 
 
-def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
+def _supplied_values(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     """The values that profile and model supply: section -> (origin, values), for vehicles without own entries."""
     supplied: dict[str, tuple[str, dict[str, Any]]] = {}
     model = VehicleSection(model=spec.vehicle.model or "paper")

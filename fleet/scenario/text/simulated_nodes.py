@@ -59,7 +59,7 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
     nodes = dict(spec.nodes or {})
     if spec.duration == UNTIL_STOPPED_NS:
         yield ("clock",), "simulated time needs an end", "duration: 60 s"
-    programs = _by_node(spec, list(nodes))
+    programs = _programs_by_node(spec, list(nodes))
     for name, node in nodes.items():
         path = ("nodes", name)
         if not programs[name] and node.modem is None:
@@ -99,7 +99,7 @@ def simulated_values(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     asked = spec.checks.programs
     offsets = [f"{x:g} {y:g} {z:g} m" for x, y, z in spec.formation.offsets or ()]
     per_vehicle = {}
-    programs = _by_node(spec, names)
+    programs = _programs_by_node(spec, names)
     for number, name in enumerate(names, start=1):
         per_vehicle[str(number)] = {"agent": _agent(spec, names, number, programs[name] or {name: _NOBODY}, folder)}
     if any(len(here) > 1 for here in programs.values()):  # else the check says what it is asked in the user's words
@@ -130,7 +130,7 @@ def command_folders(spec: ScenarioSpec) -> list[Path]:
     return [Path(file).resolve().parent for file in found if file is not None]
 
 
-def _by_node(spec: ScenarioSpec, names: Sequence[str]) -> dict[str, dict[str, ProgramSection]]:
+def _programs_by_node(spec: ScenarioSpec, names: Sequence[str]) -> dict[str, dict[str, ProgramSection]]:
     """The programs of each node, by name."""
     found: dict[str, dict[str, ProgramSection]] = {name: {} for name in names}
     for program, owner, section in programs_of(spec.programs or {}, names):

@@ -195,7 +195,7 @@ def test_only_a_run_that_was_alone_with_its_worker_is_blamed(monkeypatch: pytest
             future.error = KilledWorker()
         return ended
 
-    monkeypatch.setattr("fleet.addons.studies.dask_engine._finished", finished)
+    monkeypatch.setattr("fleet.addons.studies.dask_engine._wait_for_finished", finished)
     client: Any = SimpleNamespace(submit=submit)
     keys = ["deadly-1", "good-1", "good-2", "good-3", "deadly-2", "good-4", "good-5"]
     rows: list[Row] = []

@@ -21,7 +21,7 @@ from fleet.addons.pictures.beliefs import beliefs
 from fleet.addons.pictures.report import believed_errors
 from fleet.addons.pictures.runs import LoggedRun, View, load
 from fleet.addons.pictures.time_series import formation
-from fleet.addons.pictures.track import _believed, _tracks, space, top
+from fleet.addons.pictures.track import _believed_ways, _tracks, space, top
 from fleet.logs.open_log import open_log
 from fleet.recorder.scene.belief import NewestBeliefs, PlaceBelief, belief_primitives, ellipse
 from fleet.recorder.scene.primitives import AreaShape, CrossShape, Primitive, plain
@@ -146,7 +146,7 @@ def test_the_tracks_show_what_a_vehicle_believes_by_its_ranges(
     picture: Callable[[list[LoggedRun], View], Figure], ranged: Path
 ) -> None:
     runs = load([ranged])
-    ways = {way.vehicle: way for way in _believed(_tracks(runs, View())[0], View())}
+    ways = {way.vehicle: way for way in _believed_ways(_tracks(runs, View())[0], View())}
     located, state = (open_log(ranged)[f"uuv/3/{group}"] for group in ("located", "state"))
     assert len(ways[3].positions) == len(located)
     true = np.column_stack([state.x, state.y])[np.isin(state.t, located.t)]

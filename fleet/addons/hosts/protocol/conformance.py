@@ -288,7 +288,7 @@ class Examination:
                             READY, "hello with echo set on cmd after one without it on cmd and tx", f"it on {key}"
                         )
             elif message is not None:
-                self._fail(UNASKED, "nothing but hello before the first nav", _shown(message))
+                self._fail(UNASKED, "nothing but hello before the first nav", _show(message))
             asked = asked or key == "cfg"
         for check, done, expected_, got_ in (
             (ASKS, asked, f"a query on {self._keys.cfg(self._i)}", "none"),
@@ -321,16 +321,16 @@ class Examination:
             match taken[1]:
                 case Transmission() as transmission:
                     if tick % self._m:
-                        self._fail(TRANSMITS, f"no tx at tick {tick}: rounds are {self._m} ticks", _shown(transmission))
+                        self._fail(TRANSMITS, f"no tx at tick {tick}: rounds are {self._m} ticks", _show(transmission))
                     elif transmitted or (transmission.incarnation, transmission.tick) != (LIFE, tick):
-                        self._fail(TRANSMITS, f"one tx of incarnation {LIFE}, tick {tick}", _shown(transmission))
+                        self._fail(TRANSMITS, f"one tx of incarnation {LIFE}, tick {tick}", _show(transmission))
                     transmitted = True
                 case Command() as command:
                     if command.incarnation == LIFE and command.tick < tick:
-                        self._fail(UNASKED, f"one cmd per nav; tick {tick} is due", _shown(command))
+                        self._fail(UNASKED, f"one cmd per nav; tick {tick} is due", _show(command))
                         continue
                     if (command.incarnation, command.tick) != (LIFE, tick):
-                        self._fail(COMMANDS, f"cmd of incarnation {LIFE}, tick {tick}", _shown(command))
+                        self._fail(COMMANDS, f"cmd of incarnation {LIFE}, tick {tick}", _show(command))
                         raise _BrokenOffError
                     if len(command.telemetry) not in (0, self._telemetry):
                         size = f"0 or {self._telemetry} values of telemetry"
@@ -347,9 +347,9 @@ class Examination:
         while (taken := self._take(deadline)) is not None:
             message = taken[1]
             if isinstance(message, Command) and message.incarnation == LIFE and message.tick < tick:
-                self._fail(UNASKED, "one cmd per nav", f"another {_shown(message)}")
+                self._fail(UNASKED, "one cmd per nav", f"another {_show(message)}")
             elif message is not None and not isinstance(message, Hello):
-                self._fail(check, expected, _shown(message))
+                self._fail(check, expected, _show(message))
                 raise _BrokenOffError
             if taken[0] == "token" and not self._fleet.here:
                 self._fail(check, "that it stays", "its token is gone")
@@ -365,7 +365,7 @@ class Examination:
                 self._fail(ENDS, "that its token goes", f"it is there {ANSWER_S:g} s later")
                 return
             if taken[1] is not None and not isinstance(taken[1], Hello):
-                self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
+                self._fail(UNASKED, "nothing after the end", _show(taken[1]))
 
     def _send_nav(self, tick: int) -> None:
         self._fleet.nav(encode(Nav(LIFE, tick, *self._state, *self._more)))
@@ -376,7 +376,7 @@ class Examination:
             self._known += self._m
 
 
-def _shown(message: Message) -> str:
+def _show(message: Message) -> str:
     match message:
         case Command() | Transmission():
             kind = "cmd" if isinstance(message, Command) else "tx"

@@ -103,7 +103,7 @@ def _load(path: Path, label: str, share: OnProgress) -> DrawnBag:
 def draw(bags: Sequence[DrawnBag], what: Sequence[str], window: tuple[float, float] | None) -> Iterator[Drawn]:
     """The pictures: of all topics, or of `track`, `/topic` and `/topic.field`. Raises FleetError: there is no such."""
     topics = list(dict.fromkeys(topic for bag in bags for topic in bag.types))
-    wanted = [_asked(bags, topics, word) for word in what] or [(TRACK, ""), *((topic, "") for topic in topics)]
+    wanted = [_find_field(bags, topics, word) for word in what] or [(TRACK, ""), *((topic, "") for topic in topics)]
     for topic, name in wanted[:MOST_PICTURES]:
         if topic == TRACK:
             called, title, figure = TRACK, "Positions from above, and z over time", _track(bags, window)
@@ -124,7 +124,7 @@ def _origin(bags: Sequence[DrawnBag], title: str) -> Provenance:
                               ("digest", " and ".join(bag.log.digest for bag in bags))))  # fmt: skip
 
 
-def _asked(bags: Sequence[DrawnBag], topics: Sequence[str], word: str) -> tuple[str, str]:
+def _find_field(bags: Sequence[DrawnBag], topics: Sequence[str], word: str) -> tuple[str, str]:
     if word == TRACK:
         return TRACK, ""
     topic, _, name = word.partition(".")

@@ -93,7 +93,7 @@ class _Curves:
         found, colour = self._estimates(cells), COLOURS[number]
         where = self._places
         if self._bars:
-            where = _beside(self._places, (number + 0.5) / len(self.names), self._logs)
+            where = _spread_places(self._places, (number + 0.5) / len(self.names), self._logs)
             ax.vlines(where, found[:, 1], found[:, 2], color=colour, linewidth=1.2, gid="band")
         else:
             ax.fill_between(where, found[:, 1], found[:, 2], color=colour, alpha=BAND, linewidth=0, gid="band")
@@ -156,7 +156,7 @@ class _Curves:
         return [*lines, *([band] if has_interval(self._quantity) else []), *self.lacks.handles()]
 
 
-def _beside(places: Array, share: float, logs: bool) -> Array:
+def _spread_places(places: Array, share: float, logs: bool) -> Array:
     at = np.log(places) if logs else places
     moved: Array = at + (share - 0.5) * (np.diff(at).min() if len(at) > 1 else 1.0) / 3
     return np.exp(moved) if logs else moved

@@ -59,7 +59,7 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: OnP
     first, pictures = images(draw(points, log_scale, share))
     place = shlex.quote(str(directory))
     blocks: list[Block] = [Paragraph(_verdict(rows.points), "verdict"), *([first] if first else [])]
-    if (failed := _failed(rows)).rows:
+    if (failed := _failed_table(rows)).rows:
         blocks += [Heading("Why runs failed", 2), failed]
     blocks += [Heading("What was run", 2), Table((), _facts(store, points, rows), "words")]
     if store.record.border is not None:
@@ -152,7 +152,7 @@ def _facts(store: Store, points: Points, rows: _Rows) -> list[tuple[str, Any]]:
         ("points", len(points.keys)),
         ("seeds of each", listed),
         ("runs", f"{planned}, of which {rows.count} are made and {rows.without} have no result"),
-        ("begun", _begun(store.directory)),
+        ("begun", _begin_words(store.directory)),
         ("wall time of the runs", cost),
         ("made by", "; ".join(f"{which}: {count} runs" for which, count in rows.made_by.items()) or record.made_by),
         ("directory", str(from_here(store.directory))),
@@ -169,13 +169,13 @@ def _verdict(points: Mapping[int, Sequence[int]]) -> str:
     return f"{passed} of {judged} runs passed ({passed / judged:.0%}{spread})"
 
 
-def _failed(rows: _Rows) -> Table:
+def _failed_table(rows: _Rows) -> Table:
     judged = sum(of for of, _ in rows.points.values())
     found = [(name, Mark(False, str(count)), f"{count / judged:.0%}") for name, count in rows.failed.most_common()]
     return Table(("check", "runs that failed it", "share"), found)
 
 
-def _begun(directory: Path) -> str:
+def _begin_words(directory: Path) -> str:
     found = re.search(r"\d{8}-\d{6}$", directory.resolve().name, re.ASCII)
     try:
         if found is not None:

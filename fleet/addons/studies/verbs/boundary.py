@@ -68,7 +68,7 @@ def boundary(
     from fleet.addons.studies.engine import require_extra
 
     require_extra()
-    borders, modules, timeout_s = _opened(scenario, asked) or _prepared(scenario, asked, out, how)
+    borders, modules, timeout_s = _open_study(scenario, asked) or _prepare_study(scenario, asked, out, how)
     if borders.open():
         _run(borders, modules, timeout_s, how)
     found = borders.estimates()
@@ -83,7 +83,7 @@ def boundary(
         click.echo(borders.store.directory)
 
 
-def _opened(name: str, asked: BoundarySpec) -> tuple[Borders, Modules, float] | None:
+def _open_study(name: str, asked: BoundarySpec) -> tuple[Borders, Modules, float] | None:
     """The study of a directory, the modules that its runs need and the time that a run may take; None: it is none."""
     from fleet.addons.studies.borders import Borders
     from fleet.addons.studies.store import Store
@@ -98,7 +98,7 @@ def _opened(name: str, asked: BoundarySpec) -> tuple[Borders, Modules, float] | 
     return borders, modules_again(borders.store), seconds(timeout)
 
 
-def _prepared(name: str, asked: BoundarySpec, out: Path, how: WorkerOptions) -> tuple[Borders, Modules, float]:
+def _prepare_study(name: str, asked: BoundarySpec, out: Path, how: WorkerOptions) -> tuple[Borders, Modules, float]:
     from fleet.addons.studies.borders import Borders, border_plan, prepare_borders
     from fleet.addons.studies.study import new_directory
 

@@ -242,7 +242,7 @@ def search(
     if whole:
         from fleet.addons.studies.verbs.whole_space import search_space
 
-        tried, modules = _tried(scenario, changes, None)
+        tried, modules = _load_searched(scenario, changes, None)
         path, most = place_of(tried, out, force=force), None if budget == SEEDS_TO_TRY else budget[0]
         write = partial(write_least, path=path)
         search_space(tried, modules, whole, check, most, path, how, write, show_least)
@@ -253,7 +253,7 @@ def search(
     if nemesis + episodes + liveness > 1:
         raise click.UsageError("--nemesis, --episodes and --liveness each add another nemesis: give one of them")
     mode: NemesisMode = "liveness" if liveness else "episodes" if episodes else "swarm" if nemesis else None
-    tried, modules = _tried(scenario, changes, mode)
+    tried, modules = _load_searched(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
     with how.showing(_seed_pieces(budget)) as on_progress, how.engine(modules) as engine:
         try:
@@ -329,7 +329,7 @@ class _Hunt:
         write_least(self.least.scenario, self.path)
 
 
-def _tried(name: str, changes: Iterable[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
+def _load_searched(name: str, changes: Iterable[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
     """The scenario of the search, and the modules that its runs need; `mode`: of the nemesis that the scenario gets."""
     from fleet.addons.studies.modules import modules_of
     from fleet.addons.studies.search import nemesis_of

@@ -91,9 +91,9 @@ def sweep(
         click.echo(_as_file(scenario, directory, asked), nl=False)
         return
     if directory is None:
-        store, spec, modules = _prepared(scenario, asked, out, how)
+        store, spec, modules = _prepare_study(scenario, asked, out, how)
     else:
-        store, spec, modules = *_opened(directory, asked), None
+        store, spec, modules = *_open_study(directory, asked), None
     shown = _columns(store, spec)
     _run(store, spec, modules, how)
     cli_junit.write(junit, store.record.scenario, junit_cases.study_cases(store))
@@ -117,10 +117,10 @@ def _as_file(name: str, directory: Path | None, asked: StudySpec) -> str:
         study = _asked_for(name, asked)
         measure_columns(study.spec, load_points(plan_of(*study), refused=[]))  # laws that may not run are no mistake
         return study_yaml(study.spec)
-    return study_yaml(_opened(directory, asked)[1])
+    return study_yaml(_open_study(directory, asked)[1])
 
 
-def _opened(directory: Path, asked: StudySpec) -> tuple[Store, StudySpec]:
+def _open_study(directory: Path, asked: StudySpec) -> tuple[Store, StudySpec]:
     """The study of a directory, and its spec with what was asked now; a budget is that of one command."""
     from fleet.addons.studies.store import Store
     from fleet.addons.studies.sweep import refuse_border
@@ -140,7 +140,7 @@ def _asked_for(name: str, asked: StudySpec) -> NamedStudy:
     return study._replace(spec=spec)
 
 
-def _prepared(name: str, asked: StudySpec, out: Path, how: WorkerOptions) -> tuple[Store, StudySpec, Modules]:
+def _prepare_study(name: str, asked: StudySpec, out: Path, how: WorkerOptions) -> tuple[Store, StudySpec, Modules]:
     from fleet.addons.studies.plan import plan_of
     from fleet.addons.studies.study import new_directory
     from fleet.addons.studies.sweep import prepare
@@ -167,7 +167,7 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: WorkerOpti
 
     missing = store.missing
     if not how.quiet:
-        say(_announced(store, missing), err=True)
+        say(_announcement(store, missing), err=True)
     if not missing and not logs_to_make(store, spec.keep_logs):
         return
     if modules is None:
@@ -192,7 +192,7 @@ def _tell_if_all_are_the_same(store: Store) -> None:
         say(f"fleet: all {runs} runs have the same log: no draw of the seed matters", err=True)
 
 
-def _announced(store: Store, missing: int) -> str:
+def _announcement(store: Store, missing: int) -> str:
     points, seeds, until = len(store.points), len(store.record.seeds), store.record.rules.until
     made = sum(store.needed_seeds().values()) - missing
     runs = f"at first, until {until}" if until else f"= {points * seeds} runs"

@@ -14,7 +14,7 @@ from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.look import COLUMN_IN
 from fleet.addons.studies.borders import Borders, Theory, find_borders, parse_along, prepare_borders
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.pictures.border import PASSED, _stacked, draw_borders, write_borders
+from fleet.addons.studies.pictures.border import PASSED, _stack_dots, draw_borders, write_borders
 from fleet.addons.studies.pictures.gallery import plot
 from fleet.addons.studies.plan import Plan
 from fleet.addons.studies.spec import BoundarySpec
@@ -83,7 +83,7 @@ def test_words_alone_stand_below_each_other() -> None:
 
 
 def test_a_stack_of_many_runs_has_a_dot_for_each() -> None:
-    stack = list(_stacked([(3, True)] * 40 + [(3, False)], 0.17, 0.07, 0.45))
+    stack = list(_stack_dots([(3, True)] * 40 + [(3, False)], 0.17, 0.07, 0.45))
     away = [y for _, y, colour in stack if colour == PASSED]
     assert len(set(away)) == 40 and min(away) == pytest.approx(-0.45) and max(away) == pytest.approx(-0.17)
     assert [y for _, y, colour in stack if colour != PASSED] == [0.17]

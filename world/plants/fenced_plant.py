@@ -69,7 +69,8 @@ class FencedPlant:
         self.state = (0.0,) * len(numbers)  # the next states must be as long as this one
         self._take(tick, plant.start, fence.call(tick, self._observed, numbers))
         if any(abs(a - b) > _TOLERANCE for a, b in zip(self.pose, pose, strict=True)):
-            text = f"has the pose {_list_words(self.pose)} at its start: expected {_list_words(pose)}, what start was called with"
+            found, expected = _list_words(self.pose), _list_words(pose)
+            text = f"has the pose {found} at its start: expected {expected}, what start was called with"
             raise fence.wrong(tick, plant.start, text)
 
     def advance(self, tick: int, tau: Vec3, current: Vec3, wrenches: Iterable[Vec6], dt: float) -> None:

@@ -105,8 +105,8 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
         width = (text_width_pt(text, label_pt()) + 4.0) * per_pt
         above = 2.0 + row * (label_pt() + 3.0)
         ax.annotate(
-            text, (_text_left_s(fault, width, first, last), 1.0), xycoords=("data", "axes fraction"), xytext=(0, above + 1.0),
-            textcoords="offset points", fontsize=label_pt(), color=_NAME, annotation_clip=False, gid="fault-name",
+            text, (_text_left_s(fault, width, first, last), 1.0), xycoords=("data", "axes fraction"),
+            xytext=(0, above + 1.0), textcoords="offset points", fontsize=label_pt(), color=_NAME, annotation_clip=False, gid="fault-name",
             parse_math=False,
         )  # fmt: skip
         raised = ScaledTranslation(0.0, above / 72.0, _figure(ax).dpi_scale_trans)

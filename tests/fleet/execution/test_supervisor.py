@@ -53,7 +53,7 @@ class External:
     def expect(self, i: int, incarnation: int, begin: int) -> None:
         self.expected.append((i, incarnation, begin))
 
-    def joined(self, i: int) -> None: ...
+    def on_joined(self, i: int) -> None: ...
 
 
 class Processes:

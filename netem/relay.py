@@ -166,7 +166,7 @@ class Relay:
         if modems and self._water is not None:
             self._news = ModemNews(config, self._water, self._out, self._called)
         self._taken = 0
-        self._leaving: dict[int, DueMessage] = {}  # given out by `handed` and not yet settled, by identity
+        self._leaving: dict[int, DueMessage] = {}  # given out by `due_messages` and not yet settled, by identity
         self._came: dict[int, list[tuple[PacketPart, bytes]]] = {}  # in water: what leaves at the next tick
         self._numbers = dict.fromkeys(config.vehicles, 0)  # in water: the number of the next packet, by sender
         self._next = 0  # tick of the next round, in water

@@ -69,7 +69,7 @@ class Column(NamedTuple):
 
 
 class Store:
-    """The directory of one study. Two programs cannot run one study: see `locked`."""
+    """The directory of one study. Two programs cannot run one study: see `lock`."""
 
     def __init__(self, directory: Path, record: StudyRecord) -> None:
         self.directory, self.record = directory, record

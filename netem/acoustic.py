@@ -361,7 +361,7 @@ class AcousticChannel:
             if r.copy == ANSWER:
                 self._answered(r, cause)
             elif r.copy < 0:
-                self._transit.hand_over(self._ranges.heard(r, self._end_tick(r)) if cause is None else [])
+                self._transit.hand_over(self._ranges.take_query(r, self._end_tick(r)) if cause is None else [])
             elif cause is not None:
                 self._lose(r, self._end_tick(r), cause)
             else:
@@ -382,7 +382,7 @@ class AcousticChannel:
             transfer.arrived = True
         delay = end - r.sent_tick * tick_ns
         packet = PendingPacket(due, r.sent_tick, r.src, r.seq, r.copy, r.dst, delay, r.payload, r.corrupted)
-        self._transit.hand_over(self._ranges.received(packet, r))
+        self._transit.hand_over(self._ranges.take_packet(packet, r))
 
     def _answered(self, r: Reception, cause: Cause | None) -> None:
         transfer = self._transfers.get(r.dst)

@@ -306,7 +306,7 @@ class WorldProcess:
         state = self._state
         for i in () if alive or self._run.finished else self._token_roles.get(key, ()):
             # The end of the token of an agent that was to end may come only when the next agent has begun.
-            if not state.without_agent(i) and not state.incarnation(i):
+            if not state.lacks_agent(i) and not state.incarnation(i):
                 self._mailbox.note(i, state.tick_of(i), "its session ended")
 
     def _control(self, key: str, data: bytes, respond: Respond) -> None:

@@ -182,9 +182,9 @@ class InProcess:
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
         self._world.state.world.faults = tuple(faults)
 
-    def without_agent(self) -> list[int]:
+    def vehicles_without_agent(self) -> list[int]:
         state = self._world.state
-        return [i for i in state.ids if state.without_agent(i)]
+        return [i for i in state.ids if state.lacks_agent(i)]
 
     def end_agents(self, kill: Kill) -> None:
         for absence in kill.absences:
@@ -236,7 +236,7 @@ class InProcess:
     def life(self, i: int) -> AgentLife | None:
         """The present life of agent i; None: it is gone, or begins with the next tick."""
         state, loop = self._world.state, self._loops[i]
-        return None if state.without_agent(i) or state.incarnation(i) != loop.incarnation else loop
+        return None if state.lacks_agent(i) or state.incarnation(i) != loop.incarnation else loop
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLife:
         if i in self._other_agents:

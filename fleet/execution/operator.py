@@ -78,7 +78,7 @@ class Operator:
 
     def _status(self, *, every: bool) -> dict[str, Any]:
         total = self.journal.ledger.total()
-        dead = self.fleet.without_agent()
+        dead = self.fleet.vehicles_without_agent()
         return {
             "scenario": self.scenario.name,
             "at_s": self._seconds(max(0, self.journal.framed)),

@@ -192,7 +192,7 @@ class Run:
     def state(self) -> State:
         """The fleet as it is now, truth included."""
         scenario, world = self.scenario, self._runner.world
-        tick_s, dead, vehicles = scenario.tick_ns / 1e9, self._runner.without_agent(), {}
+        tick_s, dead, vehicles = scenario.tick_ns / 1e9, self._runner.vehicles_without_agent(), {}
         for i in world.ids:
             eta, nu = world.state(i)
             t = world.tick(i) * tick_s  # an agent that answers later is still at the tick before

@@ -144,8 +144,8 @@ class Supervisor:
         # On the key of the grants, so it arrives before any tick that is granted later.
         self.session.put(WorldFaults(tuple(faults)))
 
-    def without_agent(self) -> list[int]:
-        return [i for i in self._vehicles if self._lives.without_agent(i, max(0, self._journal.framed))]
+    def vehicles_without_agent(self) -> list[int]:
+        return [i for i in self._vehicles if self._lives.lacks_agent(i, max(0, self._journal.framed))]
 
     def end_agents(self, kill: Kill) -> None:
         for absence in kill.absences:

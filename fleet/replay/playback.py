@@ -105,7 +105,7 @@ class Replay:
             }
             hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in log.schemas.values()}, units)
 
-    def unmatched(self) -> list[str]:
+    def unmatched_keys(self) -> list[str]:
         return [self.key_of[n] for n, publication in self._publications.items() if not publication.matched]
 
     def play(self, keyboard: Keyboard, line: StatusLine) -> None:
@@ -119,7 +119,7 @@ class Replay:
         play_out(player, keyboard, line, self._publish, lambda: self._describe(time.monotonic_ns(), pace), pace.restart)
 
     def _wait(self, line: StatusLine) -> None:
-        while self._wishes.wait_for_subscribers and (missing := self.unmatched()):
+        while self._wishes.wait_for_subscribers and (missing := self.unmatched_keys()):
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             if line.due():
                 line.show(f"waiting for a subscriber on {missing[0]}{more}")

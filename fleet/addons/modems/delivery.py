@@ -54,12 +54,12 @@ class Deliveries:
         piggyback: int,
         channel: ModemChannel,
         put: Callable[[Job], None],
-        after: Callable[[float, Callable[[], None]], None],
+        call_after: Callable[[float, Callable[[], None]], None],
     ) -> None:
         """Begin. `link`, `piggyback`: protocol numbers of the frames, and of what comes with an acknowledgement. `put`
-        lets one wait for its transmission; `after` calls something after a time [s]."""
+        lets one wait for its transmission; `call_after` calls something after a time [s]."""
         self._piggyback = piggyback
-        self._link, self._channel, self._put, self._after = link, channel, put, after
+        self._link, self._channel, self._put, self._call_after = link, channel, put, call_after
         self._waiting: dict[int, _Waiting] = {}  # by number
         self._taken: dict[int, deque[int]] = {}  # by sender: its last numbers
         self._last = -1
@@ -79,7 +79,7 @@ class Deliveries:
             job.on_sent(frame)
             air_s, tried = (frame.airtime_ns + self._channel.modem.airtime_ns(0)) / 1e9, one.tried
             wait_s = self._channel.there_and_back_s + air_s + self._channel.access_s + _WAIT_S
-            self._after(wait_s, lambda: self._late(number, one, tried))
+            self._call_after(wait_s, lambda: self._late(number, one, tried))
 
         head = bytes((_CARRIED, number, job.what)) + job.head
         frame = replace(job, head=head, what=self._link, on_sent=sent)

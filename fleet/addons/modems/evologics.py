@@ -129,7 +129,7 @@ class EvoLogics:
                 client.unfinished = found + rest
                 self._take_data(client, data)
 
-        self._modem.after(ESCAPE_S if said == _ESCAPE else PAUSE_S, quiet)
+        self._modem.call_after(ESCAPE_S if said == _ESCAPE else PAUSE_S, quiet)
 
     def _answer(self, client: Client, command: bytes, said: bytes) -> None:
         """Answer a command, as the mode wants it."""
@@ -293,7 +293,7 @@ class EvoLogics:
             self._tell(b"SENDSTART,%d,%b,%d,0" % (to, kind, frame.airtime_ns // 1000), b"ZX")
             end_us = self._modem.us(frame.at_ns + frame.airtime_ns)
             said = b"SENDEND,%d,%b,%d,%d" % (to, kind, end_us, frame.airtime_ns // 1000)
-            self._modem.after(frame.airtime_ns / 1e9, lambda: self._tell(said, b"ZX"))
+            self._modem.call_after(frame.airtime_ns / 1e9, lambda: self._tell(said, b"ZX"))
             self._go_on()
 
         return sent

@@ -252,7 +252,7 @@ class MicroModem:
             self._date.set(date)
             then()
 
-        self._modem.after(self._date.wait_s(), pulse)
+        self._modem.call_after(self._date.wait_s(), pulse)
 
     def _mini(self, values: list[str]) -> None:
         to, data = self._address(values[1]), bytes.fromhex(values[2].zfill(4))
@@ -300,7 +300,7 @@ class MicroModem:
                 self._say("CAERR", self._clock(), "DATA_TIMEOUT", number)
                 self._packet_sent(packet.rate, packet.to, answered=packet.answered, frames=packet.count, mode=4)()
 
-        self._modem.after(DATA_TIMEOUT_S, late)
+        self._modem.call_after(DATA_TIMEOUT_S, late)
 
     def _data(self, values: list[str]) -> None:
         packet, data = self._packet, bytes.fromhex(values[3])
@@ -383,7 +383,7 @@ class MicroModem:
             nonlocal left
             left -= 1
             if began and not left:
-                self._modem.after(wait_s, over)
+                self._modem.call_after(wait_s, over)
 
         def over() -> None:
             if self._is_on("TXF"):
@@ -439,7 +439,7 @@ class MicroModem:
             if self._coming.get(frame.src) is coming:
                 self._end(frame.src, to, frame.end_ns)
 
-        self._modem.after(most_s, late)
+        self._modem.call_after(most_s, late)
 
     def _end(self, src: int, to: int, at_ns: int) -> None:
         """A packet is over: tell it, or what is missing of it, and acknowledge what has come."""

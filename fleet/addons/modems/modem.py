@@ -143,7 +143,7 @@ class ModemCore:
         """See `ModemEndpoint`."""
         self.channel = channel
         if self.language.link is not None:
-            self._deliveries = Deliveries(self.language.link, PIGGYBACK, channel, self._put, self.after)
+            self._deliveries = Deliveries(self.language.link, PIGGYBACK, channel, self._put, self.call_after)
         self.language.begin(self)
         self.line_port.begin()
 
@@ -317,10 +317,10 @@ class ModemCore:
                 self._ranging.remove(ranging)
                 then(None)
 
-        self.after(self.channel.there_and_back_s + air_s + 2 * self.channel.access_s + SLACK_S, gives_up)
+        self.call_after(self.channel.there_and_back_s + air_s + 2 * self.channel.access_s + SLACK_S, gives_up)
         return ""
 
-    def after(self, wait_s: float, then: Callable[[], None]) -> None:
+    def call_after(self, wait_s: float, then: Callable[[], None]) -> None:
         """Call something after a time [s], on the thread of the port."""
         self._at(monotonic_ns() + round(wait_s * 1e9), then)
 

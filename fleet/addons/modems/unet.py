@@ -106,7 +106,7 @@ class Unet:
                 self._take(client, said.get("message"))
 
     def _answer(self, client: Client, values: Mapping[str, Any]) -> None:
-        self._modem.after(ANSWER_S, lambda: self._say(client, values))
+        self._modem.call_after(ANSWER_S, lambda: self._say(client, values))
 
     def _say(self, client: Client, values: Mapping[str, Any]) -> None:
         self._modem.line_port.say(client, json.dumps(values).encode() + b"\n")
@@ -347,7 +347,7 @@ class _Reply:
     def tell(self, name: str, /, **data: Any) -> None:
         whole = data | {"inReplyTo": self._request}
         say = partial(self._node._tell, self._client, name, self.agent, self._to, **whole)
-        self._node._modem.after(REPLY_S, say)
+        self._node._modem.call_after(REPLY_S, say)
 
     def perform(self, performative: str) -> None:
         self.tell(f"{_FJAGE}.Message", perf=performative)

@@ -106,8 +106,8 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
         above = 2.0 + row * (label_pt() + 3.0)
         ax.annotate(
             text, (_text_left_s(fault, width, first, last), 1.0), xycoords=("data", "axes fraction"),
-            xytext=(0, above + 1.0), textcoords="offset points", fontsize=label_pt(), color=_NAME, annotation_clip=False,
-            gid="fault-name", parse_math=False,
+            xytext=(0, above + 1.0), textcoords="offset points", fontsize=label_pt(), color=_NAME,
+            annotation_clip=False, gid="fault-name", parse_math=False,
         )  # fmt: skip
         raised = ScaledTranslation(0.0, above / 72.0, _figure(ax).dpi_scale_trans)
         extent = [max(fault.begin, first), min(fault.end, last)]

@@ -465,7 +465,7 @@ class RelayRun:
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
         """The programs get their pauses with the plan of all faults; the operator refuses the rest."""
 
-    def without_agent(self) -> list[int]:
+    def vehicles_without_agent(self) -> list[int]:
         return self._programs.gone
 
     def end_agents(self, kill: Kill) -> None:

@@ -149,7 +149,7 @@ class _BareRun:
 
     def _loop(self, i: int, k: int) -> AgentLoop | None:
         """The agent of vehicle i at tick k, perhaps a new one; None: it has none."""
-        if self._lives.without_agent(i, k):
+        if self._lives.lacks_agent(i, k):
             return None
         life = self._lives.incarnation(i, k)
         if i not in self._loops or self._loops[i].incarnation != life:

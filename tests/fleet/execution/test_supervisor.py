@@ -117,7 +117,7 @@ def test_an_agent_that_dies_under_continue_leaves_its_vehicle_alone(monkeypatch:
     assert rig.supervisor.on_process_ended(Exit("agent-2", 1, 7))
     assert rig.fleet.announced == [Death(2, None, 0, None)]
     assert rig.supervisor.deaths == {2: ["exited with status 1"]}
-    assert rig.supervisor.without_agent() == [2]
+    assert rig.supervisor.vehicles_without_agent() == [2]
     assert rig.notes.lines == [
         "t = 0.40 s (tick 40) agent 2 (pid 7) exited with status 1: its vehicle drifts without thrust; "
         "last line of log/agent-2.log: ValueError: no"

@@ -361,7 +361,7 @@ def test_deaths_of_others_are_refused() -> None:
     lockstep = Lockstep(world())
     lockstep.grant(5)
     assert lockstep.end(2, 1) == []  # another incarnation's
-    assert not lockstep.state.without_agent(2)
+    assert not lockstep.state.lacks_agent(2)
 
 
 def run(folder: Path, *overrides: str, in_process: bool = True) -> Result:

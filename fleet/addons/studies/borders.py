@@ -18,7 +18,7 @@ from typing import Literal, Protocol, cast
 
 from msgspec import structs
 
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import NO_MODULES, Modules
 from fleet.addons.studies.one_run import A_STUDY, Task

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from fleet.addons.studies.engine import LOST, lost_row, require
+from fleet.addons.studies.engine_interface import LOST, lost_row, require
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import Modules, get_ready, packed
 from fleet.addons.studies.one_run import Task, make_run_in_time

@@ -3,57 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
-from importlib.util import find_spec
 from itertools import chain
-from typing import Any, Protocol
+from typing import Any
 
+from fleet.addons.studies.dask_engine import dask_engine
+from fleet.addons.studies.engine_interface import LOST, Engine, lost_row
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import Modules
 from fleet.addons.studies.one_run import GRACE_S, Task, late, make_run
-from fleet.addons.studies.row import FAILED, Row
+from fleet.addons.studies.row import Row
 from fleet.addons.studies.stack_runs import StackRuns
 from fleet.processes.limits import processors
-from fleet.processes.workers import TIMES, WorkerDied, WorkerLate, Workers
-
-NEEDED = ("scipy", "pandas", "xarray")
-LOST = f"the worker that made it died {TIMES} times; is there enough memory?"
-
-
-class Engine(Protocol):
-    """What makes runs."""
-
-    @property
-    def here(self) -> bool:
-        """Whether the workers are processes of this machine, of this user."""
-
-    def carry(self, modules: Modules) -> Modules:
-        """The modules of laws as runs on these workers need them. Raises StudyError: a worker cannot import them."""
-
-    def make(self, tasks: Iterator[Task], take: Callable[[list[Row]], None], wait: Callable[[], None]) -> None:
-        """Make every run, also if workers die meanwhile. `tasks`: the runs. A free worker takes the next one, so memory
-        does not grow with their number. `take`: called with the rows of results as runs end. Raises RunBroken: no
-        worker starts; StudyError: the workers are gone."""
-
-
-def require_extra() -> None:
-    """Raises StudyError: the libraries of the extra `study` are not installed."""
-    require(NEEDED, "studies need", "study")
-
-
-def require(libraries: Iterable[str], who: str, extra: str) -> None:
-    """Raises StudyError: libraries of an extra are not installed."""
-    missing = [name for name in libraries if find_spec(name) is None]
-    if missing:
-        raise StudyError(f"{who} {', '.join(missing)}: pip install 'uuv-fleet[{extra}]'")
-
-
-def lost_row(task: Task, reason: str) -> Row:
-    return Row(key=task.key, point=task.point, seed=task.seed, status=FAILED, reason=reason,
-               version=version("uuv-fleet"))  # fmt: skip
+from fleet.processes.workers import WorkerDied, WorkerLate, Workers
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +73,7 @@ def engine_of(
     """
     if modules.programs and scheduler is not None:  # before anybody looks for it
         raise StudyError("programs of a stack run on this machine alone: leave --scheduler out")
-    if scheduler is None:
-        return local_engine(workers, tell)
-    from fleet.addons.studies.dask_engine import dask_engine  # which imports this module
-
-    return dask_engine(scheduler)
+    return local_engine(workers, tell) if scheduler is None else dask_engine(scheduler)
 
 
 def _reason(task: Task, error: BaseException) -> str:

@@ -92,7 +92,7 @@ def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Pa
     Raises StudyError: it is damaged, or an extra is not installed; FleetError: something is in the way, or the place
     cannot be written.
     """
-    from fleet.addons.studies.engine import require
+    from fleet.addons.studies.engine_interface import require
 
     if form == "parquet":
         require(["pyarrow"], "Parquet needs", "parquet")
@@ -130,7 +130,7 @@ def _open_all(paths: Sequence[Path], labels: Sequence[str | None]) -> dict[str, 
 
 
 def _open(directory: Path) -> Store:
-    from fleet.addons.studies.engine import require_extra
+    from fleet.addons.studies.engine_interface import require_extra
 
     require_extra()
     from fleet.addons.studies.store import Store

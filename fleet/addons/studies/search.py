@@ -17,7 +17,7 @@ from typing import Literal
 
 from msgspec import structs
 
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.failures import FailureFolder, FoundFailure, SearchProgress, file_of
 from fleet.addons.studies.modules import NO_MODULES, Modules

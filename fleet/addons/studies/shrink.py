@@ -20,7 +20,7 @@ from math import inf, isfinite
 from typing import Any, NamedTuple, TypeVar
 
 from agents.controllers import laws
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import NO_MODULES, Modules
 from fleet.addons.studies.one_run import Task

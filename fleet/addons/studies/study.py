@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from fleet.addons.studies.borders import Border, Borders, OnProgress, border_plan, find_borders, prepare_borders, theory
-from fleet.addons.studies.engine import engine_of, require_extra
+from fleet.addons.studies.engine import engine_of
+from fleet.addons.studies.engine_interface import require_extra
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.measures import CHECK
 from fleet.addons.studies.one_run import A_STUDY

@@ -13,7 +13,8 @@ from importlib.metadata import version
 from math import inf
 from pathlib import Path
 
-from fleet.addons.studies.engine import Engine, engine_of
+from fleet.addons.studies.engine import engine_of
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.measures import STANDING, MeasureColumn, columns_of_checks
 from fleet.addons.studies.modules import NO_MODULES, Modules, modules_of

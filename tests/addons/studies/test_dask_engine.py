@@ -21,7 +21,7 @@ from tool import invoke
 from waiting import wait_for
 
 from fleet.addons.studies.dask_engine import DaskEngine, check_versions, dask_engine, versions
-from fleet.addons.studies.engine import LOST, require_extra
+from fleet.addons.studies.engine_interface import LOST, require_extra
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import modules_of
 from fleet.addons.studies.one_run import Task
@@ -134,7 +134,7 @@ def test_no_scheduler_and_no_extra_are_said(monkeypatch: pytest.MonkeyPatch) -> 
         pass
     with pytest.raises(StudyError, match="needs certificates: set DASK_"), dask_engine("tls://127.0.0.1:1"):
         pass
-    monkeypatch.setattr("fleet.addons.studies.engine.NEEDED", ("pandas", "no_such_library"))
+    monkeypatch.setattr("fleet.addons.studies.engine_interface.NEEDED", ("pandas", "no_such_library"))
     with pytest.raises(StudyError, match=r"studies need no_such_library: pip install 'uuv-fleet\[study\]'"):
         require_extra()
     monkeypatch.setattr("fleet.addons.studies.dask_engine._OF_CLUSTERS", ("no_such_library",))

@@ -252,7 +252,7 @@ def test_a_cluster_is_refused_before_anybody_looks_for_it(
 ) -> None:
     """Programs run on this machine alone. A scheduler that is not there was looked for during ten seconds."""
     looked: list[Any] = []
-    monkeypatch.setattr("fleet.addons.studies.dask_engine.dask_engine", looked.append)
+    monkeypatch.setattr("fleet.addons.studies.engine.dask_engine", looked.append)
     with pytest.raises(CommandRefused) as caught:
         type_command(*words, "--scheduler", "tcp://127.0.0.1:1")
     assert "programs of a stack run on this machine alone: leave --scheduler out" in str(caught.value)

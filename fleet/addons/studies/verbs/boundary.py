@@ -65,7 +65,7 @@ def boundary(
       fleet boundary paper --along 'network.period=100 ms..5 s' --per profile=paper,hardened --level 0.9
       fleet boundary studies/paper-20261122-101500
     """
-    from fleet.addons.studies.engine import require_extra
+    from fleet.addons.studies.engine_interface import require_extra
 
     require_extra()
     borders, modules, timeout_s = _open_study(scenario, asked) or _prepare_study(scenario, asked, out, how)

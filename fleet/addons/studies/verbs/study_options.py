@@ -21,7 +21,7 @@ from fleet.terminal.table import TerminalColumn
 from fleet.terminal.width import say
 
 if TYPE_CHECKING:
-    from fleet.addons.studies.engine import Engine
+    from fleet.addons.studies.engine_interface import Engine
     from fleet.addons.studies.modules import Modules
     from fleet.addons.studies.record import AxisRecord
     from fleet.addons.studies.store import Store

@@ -83,7 +83,7 @@ def sweep(
     """
     if json_is_asked() and show_config:
         raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
-    from fleet.addons.studies.engine import require_extra
+    from fleet.addons.studies.engine_interface import require_extra
 
     require_extra()
     directory = study_directory(scenario, asked)

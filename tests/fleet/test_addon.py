@@ -366,7 +366,7 @@ def test_the_api_of_add_ons_is_what_type_checkers_see_and_what_the_guide_lists()
     assert all(getattr(api, name) is not None for name in api.__all__)
     guide = (ROOT / "docs/guide/add-ons.md").read_text("utf-8")
     assert {name for name in api.__all__ if f"`{name}`" not in guide} == set()
-    with pytest.raises(AttributeError, match="it has RunCompanion, "):
+    with pytest.raises(AttributeError, match="it has Companion, "):
         api.Verb  # noqa: B018
 
 

@@ -34,7 +34,9 @@ from netem.wire.messages import Delivery, Nav
 from world.vectors import Vec3
 
 
-def followed(position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[int, Offset], t: float) -> Motion:
+def motion_from_neighbours(
+    position: Vec3, heard: Iterable[NeighbourState], offsets: Mapping[int, Offset], t: float
+) -> Motion:
     """The desired motion of a vehicle that does not know the reference, computed from its neighbours' states.
 
     | symbol | meaning | unit | frame |
@@ -89,7 +91,7 @@ class ByNeighbours(ByReference):
         self._offsets = {neighbour.id: neighbour.offset for neighbour in config.neighbours}
 
     def place(self, position: Vec3, heard: tuple[NeighbourState, ...], t: float) -> Motion:
-        return followed(position, heard, self._offsets, t)
+        return motion_from_neighbours(position, heard, self._offsets, t)
 
 
 class OnStandby(ByReference):
@@ -134,7 +136,7 @@ class Agent(Brain):
 
     def transmit(self, nav: Nav) -> tuple[bytes, ...]:
         """The payloads to every neighbour: own position and velocity over ground at this tick, and the own time."""
-        nav = self._localizer.located(nav)
+        nav = self._localizer.locate(nav)
         eta, nu = self._measured(nav)
         now, _, _ = own_time(nav, self.config.tick_ns)
         message = StateMessage(self.config.id, now, eta[:3], earth_velocity(eta, nu, nav.roll[0] if nav.roll else 0.0))
@@ -158,7 +160,7 @@ class Agent(Brain):
         eta, nu = self._measured(nav)
         dt = self._elapsed(tick)
         self._neighbours.absorb(deliveries, now, ahead)
-        heard = self._neighbours.heard(now)
+        heard = self._neighbours.states_at(now)
         if course is not None:
             desired = course
             e, c = consensus_error(eta[:3], desired.position, 1.0, ())

@@ -147,7 +147,7 @@ class Cascade:
         theta, psi = sample.eta[3:] if self._held is None else self._held
         rho, guidance = self.guidance.step(sample)
         if self._keep_apart is not None and self._neighbours is not None:
-            rho, change = self._keep_apart.step(rho, sample, self._neighbours.seen())
+            rho, change = self._keep_apart.step(rho, sample, self._neighbours.sampled_states())
             guidance = (*guidance, *change)
         u_cmd, theta, psi = direction_command(rho, theta, psi, params.rho_eps)
         self._held = (theta, psi)

@@ -29,7 +29,7 @@ from dataclasses import replace
 from agents.agent import Agent
 from agents.config import AgentConfig
 from agents.message import VERSION
-from agents.own_time import by_simulated_time
+from agents.own_time import to_simulated_time
 from agents.signals import SignalLayout
 from agents.trajectory import Motion
 from netem.wire.messages import Delivery, Nav
@@ -68,7 +68,7 @@ class FormationAgent:
         Returns:
             One payload with the own position [m, NED] and velocity [m/s, NED]; none on a moored vehicle.
         """
-        return () if self._agent is None else self._agent.transmit(by_simulated_time(nav))
+        return () if self._agent is None else self._agent.transmit(to_simulated_time(nav))
 
     def decide(
         self, nav: Nav, deliveries: Iterable[Delivery], course: Motion | None = None
@@ -89,7 +89,7 @@ class FormationAgent:
         if self._agent is None:
             return (0.0, 0.0, 0.0), {}
         states = [d for d in deliveries if d.payload[:1] != _OWN]
-        own, motion = by_simulated_time(nav), None if course is None else _motion(course)
+        own, motion = to_simulated_time(nav), None if course is None else _motion(course)
         tau, telemetry, _ = self._agent.decide(own, states, motion)
         return tau, {
             name: telemetry[place.start] if width == 1 else telemetry[place]

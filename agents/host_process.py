@@ -100,7 +100,7 @@ class HostProcess:
         try:
             message = expect(part.message, Nav, Inbox, End)
         except MalformedMessage as error:
-            agent.shell.reject(self._key, agent.loop.tick, error)
+            agent.mailbox.reject(self._key, agent.loop.tick, error)
             return
         if isinstance(message, End):
             if agent.is_over(message):

@@ -64,7 +64,7 @@ class NeighbourTable:
         # Range and standard deviation that came with the newest state [m].
         self._ranges: dict[int, tuple[float, float]] = {}
         self.counters = dict.fromkeys(("accepted", "duplicate", "superseded", *_REFUSED), 0)
-        self._now = 0  # tick at which `heard` was asked last
+        self._now = 0  # tick at which `states_at` was asked last
         self.rejected = 0  # payloads that were refused so far: damaged, not ours, or not from who the network names
 
     def absorb(self, deliveries: Iterable[Delivery], now: int, ahead: int = 0) -> None:
@@ -94,7 +94,7 @@ class NeighbourTable:
             self._ranges.pop(message.sender, None)
         return "accepted"
 
-    def heard(self, now: int) -> tuple[NeighbourState, ...]:
+    def states_at(self, now: int) -> tuple[NeighbourState, ...]:
         """The neighbours heard so far, extrapolated to tick `now`, by ascending number."""
         self._now = now
         tick_s = self._tick_s
@@ -125,8 +125,8 @@ class NeighbourTable:
             )
         return tuple(states)
 
-    def seen(self) -> list[Seen]:
-        """The states that `heard` went by last, as they were sampled, by ascending number."""
+    def sampled_states(self) -> list[Seen]:
+        """The states that `states_at` went by last, as they were sampled, by ascending number."""
         found = []
         for message in self._newest.values():
             if message is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from agents.trajectory import Motion
-from world.vectors import ZERO, Vec3, minus, moved, scale
+from world.vectors import ZERO, Vec3, minus, move_along, scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Offset:
                 way = x * x * x * (10.0 + x * (6.0 * x - 15.0))
                 rate = 30.0 * x * x * (1.0 - x) * (1.0 - x) / change.blend
                 step = minus(change.offset, offset)
-                return Motion(moved(offset, step, way), scale(step, rate))
+                return Motion(move_along(offset, step, way), scale(step, rate))
             else:
                 break
         return Motion(offset, ZERO)

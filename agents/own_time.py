@@ -19,7 +19,7 @@ class OwnNav(Nav, frozen=True):
     sample: Uint = 0  # the tick of the nav that the world sent
 
 
-def by_own_clock(nav: Nav, tick_ns: int) -> Nav:
+def to_own_clock(nav: Nav, tick_ns: int) -> Nav:
     """The same nav with the ticks of the vehicle's clock; as it is while all clocks are right."""
     if nav.clock_ns is None:
         return nav
@@ -27,22 +27,22 @@ def by_own_clock(nav: Nav, tick_ns: int) -> Nav:
     return OwnNav(nav.incarnation, tick, nav.eta, nav.nu, nav.roll, nav.clock_ns, nav.belief, nav.tick)
 
 
-def by_simulated_time(nav: Nav) -> Nav:
+def to_simulated_time(nav: Nav) -> Nav:
     """The inverse."""
     if isinstance(nav, OwnNav):
         return Nav(nav.incarnation, nav.sample, nav.eta, nav.nu, nav.roll, nav.clock_ns, nav.belief)
     return nav
 
 
-def received_by_own_clock(deliveries: list[Delivery], nav: Nav) -> list[Delivery]:
+def deliveries_to_own_clock(deliveries: list[Delivery], nav: Nav) -> list[Delivery]:
     """The same deliveries, due by the clock that `nav` has been made with; they were stamped by their senders'."""
     if not isinstance(nav, OwnNav):
         return deliveries
     ahead = nav.tick - nav.sample
-    return [_by_own_clock(delivery, ahead) for delivery in deliveries]
+    return [_delivery_to_own_clock(delivery, ahead) for delivery in deliveries]
 
 
-def _by_own_clock(delivery: Delivery, ahead: int) -> Delivery:
+def _delivery_to_own_clock(delivery: Delivery, ahead: int) -> Delivery:
     due = max(0, delivery.due_tick + ahead)
     if delivery.range_tick is None:
         return replace(delivery, due_tick=due)

@@ -62,7 +62,7 @@ class Datagram(NamedTuple):
         return [self._replace(data=part, number=number, place=k, places=len(parts)) for k, part in enumerate(parts)]
 
 
-class Fragments:
+class DatagramAssembly:
     """Fragments that have come, until their datagrams are whole."""
 
     def __init__(self) -> None:

@@ -9,12 +9,12 @@ from agents.brain import Brain
 from agents.config import AgentConfig, Law
 from agents.errors import ControllerError
 from agents.laws.velocity_command import clip
-from agents.own_time import by_own_clock, received_by_own_clock
+from agents.own_time import deliveries_to_own_clock, to_own_clock
 from agents.plugins.laws import law_fence, load
 from agents.sample import Decision
 from agents.speech import Speech, usable
 from netem.wire.messages import Delivery, Nav
-from world.plugins.fence import shown
+from world.plugins.fence import show_value
 from world.vectors import Vec3
 
 MAX_PAYLOAD_BYTES = 40_000  # the payloads of one round; the transport carries 48 kB in a message
@@ -36,9 +36,9 @@ class PluggedAgent(Brain):
             return ()
         fence, method = self._fence, self._user.transmit
         try:
-            payloads = fence.call(nav.tick, method, by_own_clock(nav, self.config.tick_ns))
+            payloads = fence.call(nav.tick, method, to_own_clock(nav, self.config.tick_ns))
             if not isinstance(payloads, (list, tuple)) or not all(isinstance(p, bytes) for p in payloads):
-                raise fence.wrong(nav.tick, method, f"returned {shown(payloads)}: expected a list of bytes")
+                raise fence.wrong(nav.tick, method, f"returned {show_value(payloads)}: expected a list of bytes")
             if (size := sum(map(len, payloads))) > MAX_PAYLOAD_BYTES:
                 text = f"returned {size} bytes: at most {MAX_PAYLOAD_BYTES} fit into a round"
                 raise fence.wrong(nav.tick, method, text)
@@ -58,10 +58,10 @@ class PluggedAgent(Brain):
         if works:
             fence, method = self._fence, self._user.decide
             try:
-                own = by_own_clock(nav, self.config.tick_ns)
-                answer = fence.call(tick, method, own, received_by_own_clock(list(deliveries), own))
+                own = to_own_clock(nav, self.config.tick_ns)
+                answer = fence.call(tick, method, own, deliveries_to_own_clock(list(deliveries), own))
                 if not isinstance(answer, tuple) or len(answer) != 2:
-                    text = f"returned {shown(answer)}: expected ((tau1, tau2, tau3), telemetry)"
+                    text = f"returned {show_value(answer)}: expected ((tau1, tau2, tau3), telemetry)"
                     raise fence.wrong(tick, method, text)
                 demand = fence.vector(tick, method, "(tau1, tau2, tau3)", answer[0])
                 telemetry = fence.telemetry(tick, method, self.layout.control, answer[1])
@@ -79,7 +79,9 @@ class PluggedAgent(Brain):
         try:
             lines = fence.call(tick, method)
             if not isinstance(lines, (list, tuple)) or not all(map(usable, lines)):
-                raise fence.wrong(tick, method, f"returned {shown(lines)}: expected a list of Said(ns, stream, text)")
+                raise fence.wrong(
+                    tick, method, f"returned {show_value(lines)}: expected a list of Said(ns, stream, text)"
+                )
         except ControllerError as error:
             self._coast(error)
         else:

@@ -42,7 +42,7 @@ class OneAgent:
         self._bus, self._keys, self.vehicle, self.loop = bus, keys, vehicle, loop
 
     @cached_property
-    def shell(self) -> Mailbox:
+    def mailbox(self) -> Mailbox:
         """The mailbox for notes, made at the first: most agents never write one."""
         role = agent_role(self.vehicle)
         return Mailbox(self._bus, role, self._keys.note(role))
@@ -68,10 +68,10 @@ class OneAgent:
             else:
                 return []
         except OutOfPlace as error:
-            self.shell.reject(key, self.loop.tick, error)
+            self.mailbox.reject(key, self.loop.tick, error)
             return []
         for tick, text in self.loop.core.take_notes():
-            self.shell.note(self.vehicle, tick, text)
+            self.mailbox.note(self.vehicle, tick, text)
         return out
 
     def _handle(self, handle: Callable[..., list[Answer]], message: Nav | Inbox) -> list[Answer]:
@@ -80,11 +80,11 @@ class OneAgent:
         except OutOfPlace:
             raise
         except ControllerError as error:
-            give_up(self.shell, self.vehicle, error.tick, error)
+            give_up(self.mailbox, self.vehicle, error.tick, error)
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
             text = f"controller failed: {type(error).__name__}: {error} ({where.filename}:{where.lineno})"
-            self.shell.note(self.vehicle, self.loop.tick + 1, text)
+            self.mailbox.note(self.vehicle, self.loop.tick + 1, text)
             raise
 
 
@@ -127,7 +127,7 @@ class AgentProcess:
             try:
                 message = expect(data, Nav, Inbox, End, Hello)
             except MalformedMessage as error:
-                agent.shell.reject(key, loop.tick, error)
+                agent.mailbox.reject(key, loop.tick, error)
                 continue
             if isinstance(message, End):
                 if agent.is_over(message):
@@ -162,9 +162,9 @@ def probe_until_answered(
             raise BusError(f"no answer from world and netem within {READY_TIMEOUT_S:.0f} s")
 
 
-def give_up(shell: Mailbox, vehicle: int, tick: int, error: Exception) -> NoReturn:
+def give_up(mailbox: Mailbox, vehicle: int, tick: int, error: Exception) -> NoReturn:
     """End this process; the reason goes to the console in one line, and to the process log with its traceback."""
-    shell.note(vehicle, tick, f"controller failed: {error}")
+    mailbox.note(vehicle, tick, f"controller failed: {error}")
     if error.__cause__ is not None:
         traceback.print_exception(error.__cause__)
     else:

@@ -26,7 +26,7 @@ class RealtimeAgentProcess(AgentProcess):
         self._noted_flood = False
 
     def _listen(self, bus: Bus, key: str) -> Stamped:
-        self._stamped = bus.stamped(key)
+        self._stamped = bus.stamped_queue(key)
         return self._stamped
 
     def serve(self) -> End:
@@ -49,7 +49,7 @@ class RealtimeAgentProcess(AgentProcess):
                     self._take(key, message, at_ns)
             if self._stamped.flooded and not self._noted_flood:
                 self._noted_flood = True
-                self._agent.shell.note(
+                self._agent.mailbox.note(
                     self._vehicle, self._loop.tick, "more comes in than it takes: messages are dropped"
                 )
             for nav in self._realtime.to_answer(navs) if navs else ():
@@ -59,7 +59,7 @@ class RealtimeAgentProcess(AgentProcess):
         try:
             message = expect(data, Nav, Inbox, End, Hello)
         except MalformedMessage as error:
-            self._agent.shell.reject(key, self._loop.tick, error)
+            self._agent.mailbox.reject(key, self._loop.tick, error)
             return None
         assert isinstance(message, (Nav, Inbox, End, Hello))
         return message
@@ -68,4 +68,4 @@ class RealtimeAgentProcess(AgentProcess):
         try:
             self._realtime.arrive(inbox, at_ns)
         except OutOfPlace as error:
-            self._agent.shell.reject(key, self._loop.tick, error)
+            self._agent.mailbox.reject(key, self._loop.tick, error)

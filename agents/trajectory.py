@@ -20,7 +20,7 @@ from math import atan2, cos, hypot, pi, sin, tan
 from typing import Any, Literal, NamedTuple
 
 from agents.errors import AgentError
-from world.vectors import ZERO, Vec3, dot, minus, moved, perpendicular, scale
+from world.vectors import ZERO, Vec3, dot, minus, move_along, perpendicular, scale
 
 # Directions closer than this [rad] need no arc between them.
 STRAIGHT = 1e-9
@@ -140,11 +140,11 @@ class Path:
         piece, along = pieces[index], s - starts[index]
         ahead = piece.ahead
         if piece.radius == 0.0:
-            return Motion(moved(piece.origin, ahead, along), scale(ahead, self.speed))
+            return Motion(move_along(piece.origin, ahead, along), scale(ahead, self.speed))
         angle = along / piece.radius
         c, sn = cos(angle), sin(angle)
-        position = moved(moved(piece.origin, piece.inward, -piece.radius * c), ahead, piece.radius * sn)
-        return Motion(position, scale(moved(scale(ahead, c), piece.inward, sn), self.speed))
+        position = move_along(move_along(piece.origin, piece.inward, -piece.radius * c), ahead, piece.radius * sn)
+        return Motion(position, scale(move_along(scale(ahead, c), piece.inward, sn), self.speed))
 
     def displacement(self, begin: float, span: float) -> Vec3:
         """How far the reference moves [m, NED] in `span` from time `begin` [s]."""
@@ -213,15 +213,15 @@ class Path:
                 )
             ahead = directions[n]
             starts.append(s)
-            pieces.append(_Piece(moved(a, ahead, before), 0.0, ahead, ZERO))
+            pieces.append(_Piece(move_along(a, ahead, before), 0.0, ahead, ZERO))
             s += max(0.0, straight)
             if turns[n]:
                 following = directions[(n + 1) % len(legs)]
                 across = perpendicular(following, ahead)
                 inward = scale(across, 1.0 / hypot(*across))
-                entry = moved(a, ahead, lengths[n] - tangents[n])
+                entry = move_along(a, ahead, lengths[n] - tangents[n])
                 starts.append(s)
-                pieces.append(_Piece(moved(entry, inward, self.radius), self.radius, ahead, inward))
+                pieces.append(_Piece(move_along(entry, inward, self.radius), self.radius, ahead, inward))
                 s += self.radius * turns[n]
         return starts, pieces, s
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from zlib import crc32
 
 from agents.config import AgentConfig
-from agents.packets import EVERYBODY, V4, Datagram, Fragments, node_address, read
+from agents.packets import EVERYBODY, V4, Datagram, DatagramAssembly, node_address, read
 from netem.wire.messages import Delivery
 
 MOST_DATA = 65_507  # bytes; UDP over IPv4 carries no more
@@ -41,7 +41,7 @@ class UdpPort:
         if not 0 < port < 65_536:
             raise ValueError(f"expected a port of 1 to 65535, got {port}")
         self._own, self._port, self._sent = config.id, port, 0
-        self._fragments = Fragments()
+        self._fragments = DatagramAssembly()
 
     def send(self, data: bytes, to: int = EVERYBODY, port: int | None = None) -> list[bytes]:
         """Make the payloads of a datagram, which `transmit` returns. What is longer than 1,472 bytes has several.

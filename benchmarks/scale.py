@@ -154,7 +154,7 @@ def measure_scale(
             x_real_time=apart.passed * tick_ns / 1e9 / apart.wall_s,
             agent_mb=apart.agent_mb,
             all_mb=apart.all_mb,
-            per_process=hosting(scenario, Options()).used(scenario)[1],
+            per_process=hosting(scenario, Options()).processes_used(scenario)[1],
         )
 
 

@@ -23,7 +23,7 @@ from rich.console import Console as Terminal
 from benchmarks.figures import show_rows
 from fleet.addons.studies.engine import local_engine
 from fleet.addons.studies.one_run import Task, make_run, scenario_of
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.processes.workers import Workers
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.overrides import SET, Override
@@ -97,7 +97,7 @@ def measure_study(runs: int, duration_s: float, workers: int, *, say: Callable[[
 
     def bare(count: int) -> None:
         for seed in range(1, count + 1):
-            judged(scenario_of(task(seed)))
+            run_loaded(scenario_of(task(seed)))
 
     ways: list[tuple[str, int, Callable[[], AbstractContextManager[Make]]]] = []
     for count in dict.fromkeys([1, workers]):

@@ -41,9 +41,9 @@ def _warn_of_hidden_cores() -> None:
 
 @cache
 def _every_name() -> dict[str, str]:
-    from fleet.addon import installed  # not above: every command imports this package, and few need add-ons
+    from fleet.addon import installed_addons  # not above: every command imports this package, and few need add-ons
 
-    of_addons = (addon.names for addon in installed().addons.values())
+    of_addons = (addon.names for addon in installed_addons().addons.values())
     return {**{name: module for names in of_addons for name, module in names.items()}, **_OFFERED}
 
 
@@ -60,10 +60,12 @@ def __getattr__(name: str) -> Any:
         name = now
     module = _OFFERED.get(name) or ("" if name.startswith("_") else _every_name().get(name))
     if not module:
-        from fleet.addon import installed
+        from fleet.addon import installed_addons
 
         why = (
-            "" if name.startswith("_") else "; ".join(f"{k} is left out: {v}" for k, v in installed().left_out.items())
+            ""
+            if name.startswith("_")
+            else "; ".join(f"{k} is left out: {v}" for k, v in installed_addons().left_out.items())
         )
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{f'; {why}' if why else ''}")
     _warn_of_hidden_cores()

@@ -65,7 +65,7 @@ def _command_line() -> int:
 
         status = cli(standalone_mode=False)
     except ImportError as error:
-        if text := damaged(error):
+        if text := damaged_package(error):
             return _cannot_run(text)
         if isinstance(error, ModuleNotFoundError):
             raise
@@ -115,18 +115,18 @@ def foreign() -> str:
     for name, begin in _BEGINS.items():
         spec = find_spec(name)
         if spec is None or not _begins(spec, begin):
-            return f"the package {name}{_place(spec)} is {_whose(name)}; {_DO}"
+            return f"the package {name}{_place(spec)} is {_owner(name)}; {_DO}"
     return ""
 
 
-def damaged(error: ImportError) -> str:
+def damaged_package(error: ImportError) -> str:
     """The same of an import that failed within one of the packages, compiled or not; "" if it was another import."""
     name = (error.name or "").partition(".")[0]
     if name.endswith("__mypyc"):
         return f"the compiled cores cannot be loaded: {error}; install {OURS} here, or with UUV_FLEET_COMPILE=no"
     if name not in _BEGINS:
         return ""
-    return f"the package {name}{_place(find_spec(name))} is {_whose(name)}: {error}; {_DO}"
+    return f"the package {name}{_place(find_spec(name))} is {_owner(name)}: {error}; {_DO}"
 
 
 def _begins(spec: ModuleSpec, begin: bytes) -> bool:
@@ -143,7 +143,7 @@ def _place(spec: ModuleSpec | None) -> str:
     return f" in {places[0]}" if places else ""
 
 
-def _whose(name: str) -> str:
+def _owner(name: str) -> str:
     """The installer of the package, in words."""
     from importlib.metadata import packages_distributions
 

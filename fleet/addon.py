@@ -17,7 +17,7 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fleet.errors import in_words, printable
+from fleet.errors import describe_error, printable
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -96,7 +96,7 @@ class Installed(NamedTuple):
 
 
 @cache
-def installed() -> Installed:
+def installed_addons() -> Installed:
     """The add-ons of this environment. One that cannot be imported is left out and hurts no other."""
     from importlib.metadata import entry_points  # here, because it takes as long as the rest of a command's start
 
@@ -109,7 +109,7 @@ def installed() -> Installed:
         try:
             addon = point.load()
         except (Exception, SystemExit) as error:
-            left_out[name] = f"{value}: {in_words(error)}"
+            left_out[name] = f"{value}: {describe_error(error)}"
             continue
         if not isinstance(addon, AddOn):
             left_out[name] = f"{value} is no fleet.addon.AddOn"
@@ -130,7 +130,7 @@ def leave_out(what: str, reason: str) -> None:
         what: the part, such as `tides.companions`.
         reason: why.
     """
-    installed().left_out[printable(what)] = printable(reason)
+    installed_addons().left_out[printable(what)] = printable(reason)
 
 
 def load(place: str) -> Any:
@@ -161,13 +161,13 @@ def parts(kind: str) -> tuple[Any, ...]:
         The objects at these places, our own first. What cannot be loaded, or is of another form, is left out.
     """
     found, base = [], load(PLACES[kind])
-    for name, addon in installed().addons.items():
+    for name, addon in installed_addons().addons.items():
         for place in getattr(addon, kind):
             try:
                 part = load(place)
                 problem = _problem(part, base, is_object=kind == "fault_kinds")
             except (Exception, SystemExit) as error:
-                problem = in_words(error)
+                problem = describe_error(error)
             if problem:
                 leave_out(f"{name}.{kind}", f"{place}: {problem}")
             else:
@@ -197,6 +197,6 @@ def sound_parts(kind: str, probe: Callable[[Any], object]) -> Iterator[Any]:
         try:
             probe(part)
         except (Exception, SystemExit) as error:
-            leave_out(f"{part.__module__}.{kind}", f"{part!r:.80}: {in_words(error)}")
+            leave_out(f"{part.__module__}.{kind}", f"{part!r:.80}: {describe_error(error)}")
         else:
             yield part

@@ -101,7 +101,7 @@ def harmless(text: str, *, json: bool = False) -> str:
     return _OBEYED.sub(lambda found: f"\\u{ord(found[0]):04x}" if json else "\ufffd", text)
 
 
-def in_words(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """The kind of an error that somebody else's code has raised, and what it says if it can say it."""
     try:
         return harmless(f"{type(error).__name__}: {error}")

@@ -85,7 +85,7 @@ class OptionField(NamedTuple):
         return self.option.keyword or (f"{self.name}_s" if self.kind is Kind.TIME else self.name)
 
 
-def declared(name: str, annotation: Any, default: Any = NEEDED) -> OptionField:
+def option_from_annotation(name: str, annotation: Any, default: Any = NEEDED) -> OptionField:
     """A field, or a parameter of a function, as its annotation declares it.
 
     Args:
@@ -96,7 +96,7 @@ def declared(name: str, annotation: Any, default: Any = NEEDED) -> OptionField:
     Returns:
         All that the command line, the keywords and the keys of files follow from.
     """
-    shape, about = unwrapped(annotation)
+    shape, about = unwrap(annotation)
     return OptionField(
         name,
         get_origin(shape) or shape,
@@ -124,7 +124,9 @@ def fields(kind: type) -> dict[str, OptionField]:
         names = _Names(vars(sys.modules[owner.__module__]))
         hints = get_type_hints(owner, {}, names, include_extras=True)
         for name in get_annotations(owner):
-            field = declared(name, hints[name], default_of(kind, name))._replace(reader=getattr(kind, "READER", ""))
+            field = option_from_annotation(name, hints[name], default_of(kind, name))._replace(
+                reader=getattr(kind, "READER", "")
+            )
             if any(isinstance(each, Option) for each in field.about):
                 found[name] = field
     return found
@@ -163,7 +165,7 @@ def default_of(kind: Any, name: str) -> Any:
     return NEEDED if made is NODEFAULT else made
 
 
-def unwrapped(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
+def unwrap(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
     """The type in an annotation.
 
     Args:

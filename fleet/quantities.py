@@ -228,7 +228,7 @@ def _split(text: str) -> tuple[tuple[Fraction, ...], str, int]:
             end += 1
         number = exact_number(text[at:end])
         if number is None:
-            glued = _glued(text[at:end])  # "50ms"
+            glued = _number_before_unit(text[at:end])  # "50ms"
             if glued is not None and text[at:end] not in ("1/s",):
                 numbers.append(glued[0])
                 at += glued[1]
@@ -238,7 +238,7 @@ def _split(text: str) -> tuple[tuple[Fraction, ...], str, int]:
     return tuple(numbers), " ".join(text[at:].split()), at
 
 
-def _glued(word: str) -> tuple[Fraction, int] | None:
+def _number_before_unit(word: str) -> tuple[Fraction, int] | None:
     """The number at the start of a word such as `50ms`, and its length."""
     for length in range(min(len(word), 40), 0, -1):
         number = exact_number(word[:length])

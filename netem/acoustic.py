@@ -125,7 +125,7 @@ class AcousticChannel:
             self._lose_unsent(src, transfer.sent, end_tick, Cause.IN_FLIGHT, transfer.missing())
         for reception in self._receptions:
             if not self._acoustic.modem_of(reception.src).tries and reception.copy >= 0:
-                self._transit.lose(_lost(reception, self._end_tick(reception), Cause.IN_FLIGHT))
+                self._transit.lose(_loss(reception, self._end_tick(reception), Cause.IN_FLIGHT))
         self._transit.hand_over(self._ranges.give_up(None))
         self._receptions, self._transfers, self._answers = [], {}, []
 
@@ -361,7 +361,7 @@ class AcousticChannel:
             if r.copy == ANSWER:
                 self._answered(r, cause)
             elif r.copy < 0:
-                self._transit.hand_over(self._ranges.heard(r, self._end_tick(r)) if cause is None else [])
+                self._transit.hand_over(self._ranges.take_query(r, self._end_tick(r)) if cause is None else [])
             elif cause is not None:
                 self._lose(r, self._end_tick(r), cause)
             else:
@@ -382,7 +382,7 @@ class AcousticChannel:
             transfer.arrived = True
         delay = end - r.sent_tick * tick_ns
         packet = PendingPacket(due, r.sent_tick, r.src, r.seq, r.copy, r.dst, delay, r.payload, r.corrupted)
-        self._transit.hand_over(self._ranges.received(packet, r))
+        self._transit.hand_over(self._ranges.take_packet(packet, r))
 
     def _answered(self, r: Reception, cause: Cause | None) -> None:
         transfer = self._transfers.get(r.dst)
@@ -396,7 +396,7 @@ class AcousticChannel:
         if (transfer := self._transfers.get(r.src)) is not None:
             transfer.cause = cause
         else:
-            self._transit.lose(_lost(r, tick, cause))
+            self._transit.lose(_loss(r, tick, cause))
 
     def _end_tick(self, r: Reception) -> int:
         """The first tick at or after the end of a reception, and after its start tick; `extra_ns` is not included."""
@@ -410,5 +410,5 @@ class AcousticChannel:
         self._ranges.queries, self._ranges.kept = before._ranges.queries, before._ranges.kept
 
 
-def _lost(r: Reception, tick: int, cause: Cause) -> Fate:
+def _loss(r: Reception, tick: int, cause: Cause) -> Fate:
     return Fate(tick, r.src, r.dst, r.seq, r.copy, r.sent_tick, tick, 0, cause, r.corrupted, r.payload)

@@ -19,10 +19,10 @@ _TWO_PI = 2.0 * math.pi
 
 def bits(seed: int, purpose: str, *key: int) -> int:
     """64 uniform bits for (seed, purpose, key); `seed` and every part of `key` in [-2^63, 2^63)."""
-    return _hash(packed(seed, *key) + purpose.encode())
+    return _hash(pack_numbers(seed, *key) + purpose.encode())
 
 
-def packed(*numbers: int) -> bytes:
+def pack_numbers(*numbers: int) -> bytes:
     """Numbers in [-2^63, 2^63) as they are hashed: a long key is its parts, one behind the other."""
     return _packer(len(numbers))(*numbers)
 
@@ -44,7 +44,7 @@ def _packer(numbers: int) -> Callable[..., bytes]:
     return Struct(f"<{numbers}q").pack
 
 
-def salted(seed: int, salt: int) -> int:
+def salted_seed(seed: int, salt: int) -> int:
     """The seed of other draws than those of a run, for a branch of it; salt 0: the run's own."""
     return bits(seed, "branch", salt) - 2**63 if salt else seed
 

@@ -70,7 +70,7 @@ class Sound(NamedTuple):
     end_ns: int
 
 
-class Sea(NamedTuple):
+class ModemChannel(NamedTuple):
     """What an endpoint may ask of the channel, from any thread."""
 
     modem: Modem
@@ -101,22 +101,22 @@ class ModemEndpoint(Protocol):
     def listen(self) -> str:
         """Open its port. Returns the port, or the path of its terminal. Raises BusError: it cannot be opened."""
 
-    def begin(self, sea: Sea) -> None:
+    def begin(self, channel: ModemChannel) -> None:
         """The channel carries from now on."""
 
-    def sent(self, frame: SentFrame) -> None:
+    def on_sent(self, frame: SentFrame) -> None:
         """A payload of it begins to be transmitted."""
 
-    def dropped(self, tag: Any, cause: Cause) -> None:
+    def on_dropped(self, tag: Any, cause: Cause) -> None:
         """A payload of it is lost before it was transmitted."""
 
-    def heard(self, frame: HeardFrame) -> None:
+    def on_heard(self, frame: HeardFrame) -> None:
         """A payload has arrived here, whoever it is for."""
 
-    def reached(self, sound: Sound) -> None:
+    def on_reached(self, sound: Sound) -> None:
         """A transmission of another modem is on its way here."""
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """A reception here has failed, and why."""
 
     @property

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from netem.cause import Cause
 from netem.condition import Condition, FourState, GilbertElliott, Link
-from netem.draws import bits, packed, unit
+from netem.draws import bits, pack_numbers, unit
 
 GOOD, BAD = 0, 1  # the states of Gilbert and Elliott
 
@@ -34,7 +34,7 @@ _PARETO_SHAPE, _PARETO_MEAN, _PARETO_SCALE, _PARETO_MOST = 3.0, 1.5, 4.0 / 3.0, 
 _PLACES = 2**20  # a number of 32 bits modulo a table of 4096 entries: where it lies within 1 / 2^20
 _NORMAL = NormalDist()
 _TINY = 2.0**-53
-_ONE, _TWO = Struct("<q").pack, Struct("<2q").pack  # as `packed`
+_ONE, _TWO = Struct("<q").pack, Struct("<2q").pack  # as `pack_numbers`
 
 
 class LossState(IntEnum):
@@ -75,7 +75,7 @@ class LinkModel:
         self._link = link
         self._state = LinkMemory()
         self._seed_in_use = seed
-        self._key = packed(seed, *link)  # the beginning of the key of all draws
+        self._key = pack_numbers(seed, *link)  # the beginning of the key of all draws
         self._use(condition)
 
     def take_over(self, before: LinkModel) -> None:
@@ -114,7 +114,7 @@ class LinkModel:
         corrupted = False
         if c.corrupt and payload and self._random("corrupt", c.corrupt_correlation, seq, copy) < c.corrupt:
             corrupted = True
-            payload = self.flipped(payload, seq, copy)
+            payload = self.flip_bit(payload, seq, copy)
         while leaving and leaving[0] <= now_ns:
             leaving.pop(0)
         if len(leaving) >= c.limit:
@@ -201,7 +201,7 @@ class LinkModel:
         state.loss_state = after
         return after in (LossState.LOST_IN_BURST, LossState.LOST_ALONE)
 
-    def flipped(self, payload: bytes, seq: int, copy: int) -> bytes:
+    def flip_bit(self, payload: bytes, seq: int, copy: int) -> bytes:
         """One bit of the payload turned over, always the same: its own inverse."""
         bit = bits(self._seed_in_use, "corrupted bit", *self._link, seq, copy) % (8 * len(payload))
         damaged = bytearray(payload)
@@ -225,7 +225,7 @@ class LinkModel:
         own = self._seed if self.condition.seed is None else self.condition.seed
         seed = own if condition.seed is None else condition.seed
         if seed != self._seed_in_use:
-            self._seed_in_use, self._key = seed, packed(seed, *self._link)
+            self._seed_in_use, self._key = seed, pack_numbers(seed, *self._link)
 
     def _draw(self, purpose: str, seq: int, copy: int) -> float:
         return unit(self._key + (_TWO(seq, copy) if copy else _ONE(seq)), purpose)

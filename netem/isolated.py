@@ -42,7 +42,7 @@ class IsolatedRobots:
         self._names, self._links = names, frozenset(links)
         self._all: dict[int, namespaces.Namespace] = {}
         for number in numbers:
-            self._all[number] = namespaces.made(number)
+            self._all[number] = namespaces.make_namespace(number)
 
     @property
     def files(self) -> dict[int, tuple[str, ...]]:

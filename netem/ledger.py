@@ -80,7 +80,7 @@ class Ledger:
             else:
                 raise ValueError(f"undeclared cause {fate.cause!r} on link {fate.src}->{fate.dst}")
 
-    def unbalanced(self) -> dict[Link, int]:
+    def unbalanced_links(self) -> dict[Link, int]:
         return {link: account.balance for link, account in self.accounts.items() if account.balance}
 
     def total(self) -> Account:

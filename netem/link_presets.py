@@ -19,7 +19,7 @@ class LinkPreset(Struct, frozen=True, forbid_unknown_fields=True):
     condition: str
     sources: dict[str, str]  # where each number is from, by the word of the condition
 
-    def parsed(self) -> Condition:
+    def parse(self) -> Condition:
         """The condition."""
         return parse_condition(self.condition)
 

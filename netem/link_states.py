@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from math import fsum, log1p
 
 from netem.condition import Condition, Link
-from netem.draws import packed, unit
+from netem.draws import pack_numbers, unit
 
 STATE, STAY = "link state", "stay in link state"  # purposes of draws
 SHARED = "shared "  # begins the purposes of states that several links share
@@ -74,7 +74,7 @@ class StateProcess:
 
     def __init__(self, seed: int, states: LinkStates, link: Link) -> None:
         self._states = states
-        self._key = packed(seed, *(states.shared or link))  # the beginning of the key of all draws
+        self._key = pack_numbers(seed, *(states.shared or link))  # the beginning of the key of all draws
         prefix = SHARED if states.shared else ""
         self._of_state, self._of_stay = prefix + STATE, prefix + STAY
         self._begin_ns = self._end_ns = 0  # when the state that is known begins and ends
@@ -95,14 +95,14 @@ class StateProcess:
         self._enter(0, self._drawn(0, self._states.shares))
 
     def _enter(self, number: int, state: int) -> None:
-        u = unit(self._key + packed(number), self._of_stay)
+        u = unit(self._key + pack_numbers(number), self._of_stay)
         self._number, self._state, self._begin_ns = number, state, self._end_ns
         self._end_ns += max(1, round(-self._states.mean_ns[state] * log1p(-u)))
 
     def _drawn(self, number: int, chances: Sequence[float]) -> int:
         if 1.0 in chances:  # of two states the other follows
             return chances.index(1.0)
-        u = unit(self._key + packed(number), self._of_state)
+        u = unit(self._key + pack_numbers(number), self._of_state)
         last = 0
         for state, chance in enumerate(chances):
             if chance > 0.0:

@@ -31,7 +31,7 @@ class Lives:
         for i in {absence.vehicle for absence in self.absences}:
             self._add_up(i)
 
-    def without_agent(self, i: int, tick: int) -> bool:
+    def lacks_agent(self, i: int, tick: int) -> bool:
         return i in self._gaps and any(begin <= tick < end for begin, end in self._gaps[i])
 
     def incarnation(self, i: int, tick: int) -> int:
@@ -64,7 +64,7 @@ class Lives:
         agent takes over at this tick. None: the next planned restart brings the agent back."""
         if until is not None:
             self.add(Absence(i, tick, until))
-        elif not self.without_agent(i, tick):
+        elif not self.lacks_agent(i, tick):
             self.add(Absence(i, tick, next((end for _, end in self.gaps(i) if end is None or end > tick), None)))
 
     def restart(self, i: int, begin: int | None, tick: int) -> None:

@@ -89,7 +89,7 @@ class LockstepModems:
             # A damaged frame may have lost its mark, so there it counts who said it.
             of_a_modem = packet.src in self._on if packet.corrupted else packet.payload.startswith(MARK)
             if packet.dst in self._on and of_a_modem:
-                news = self._news.damaged(packet) if packet.corrupted else self._news.arrived(packet, places)
+                news = self._news.damaged_frame(packet) if packet.corrupted else self._news.arrival(packet, places)
                 told.setdefault((packet.dst, packet.due_tick), []).append(news)
         for (i, due), events in told.items():
             if i in inboxes:

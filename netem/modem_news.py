@@ -90,13 +90,13 @@ def tell(modem: ModemEndpoint, event: Began | Unsent | SoundReached | Spoiled, b
     """Hand a piece of news to a modem. `begin_ns`: of tick 0 [CLOCK_MONOTONIC]."""
     match event:
         case Began():
-            modem.sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
+            modem.on_sent(SentFrame(event.payload, begin_ns + event.at_ns, event.airtime_ns))
         case Unsent():
-            modem.dropped(event.payload, event.cause)
+            modem.on_dropped(event.payload, event.cause)
         case SoundReached():
-            modem.reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
+            modem.on_reached(Sound(begin_ns + event.begin_ns, begin_ns + event.end_ns))
         case Spoiled():
-            modem.spoiled(event.cause, begin_ns + event.at_ns, event.level)
+            modem.on_spoiled(event.cause, begin_ns + event.at_ns, event.level)
 
 
 class ModemNews:
@@ -147,7 +147,7 @@ class ModemNews:
         while len(self._bursts) > _MOST_BURSTS:
             del self._bursts[next(iter(self._bursts))]
 
-    def arrived(self, packet: PendingPacket, places: Mapping[int, Place]) -> FrameArrived:
+    def arrival(self, packet: PendingPacket, places: Mapping[int, Place]) -> FrameArrived:
         """The news of a packet that has arrived whole. `places`: of the vehicles that are known [m, NED]."""
         src, dst, seq = packet.src, packet.dst, packet.seq
         end_ns = packet.sent_tick * self._tick_ns + packet.delay_ns
@@ -159,7 +159,7 @@ class ModemNews:
         away = None if here is None or there is None else tuple(b - a for a, b in zip(here, there, strict=True))[:3]
         return FrameArrived(src, seq, packet.copy, sent_ns, begin_ns, end_ns, self.level(src, seq, dst), away)
 
-    def damaged(self, packet: PendingPacket) -> Spoiled:
+    def damaged_frame(self, packet: PendingPacket) -> Spoiled:
         """The news of a packet that has arrived damaged: modems have checksums."""
         at_ns = packet.due_tick * self._tick_ns
         return Spoiled(Cause.SNR, at_ns, self.level(packet.src, packet.seq, packet.dst))

@@ -55,7 +55,7 @@ def address(number: int) -> str:
     return f"10.0.{number >> 8}.{number & 255}"
 
 
-def made(number: int) -> Namespace:
+def make_namespace(number: int) -> Namespace:
     """Make the namespace of a node.
 
     Args:

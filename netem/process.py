@@ -60,7 +60,7 @@ class NetworkProcess(ABC, Generic[R]):
         self._keys, self._round_key = keys, keys.round
         self._hosts = AgentGroups(bus, keys, members, keys.tx)
         self._rounds = rounds
-        self._shell = Mailbox(bus, NETEM, keys.note(NETEM))
+        self._mailbox = Mailbox(bus, NETEM, keys.note(NETEM))
         self._inbox: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.rx(i)) for i in config.vehicles}
         self._links = bus.publisher(keys.links)
         self._round_heard = False
@@ -96,14 +96,14 @@ class NetworkProcess(ABC, Generic[R]):
             else:
                 self._agent_put(vehicle_of(key), data)
         except (MalformedMessage, OutOfPlace) as error:
-            self._shell.reject(key, self._rounds.tick, error)
+            self._mailbox.reject(key, self._rounds.tick, error)
 
     def _query(self, key: str, data: bytes, respond: Respond) -> None:
         with self._lock:
             try:
                 self._control(data, respond)
             except (MalformedMessage, OutOfPlace) as error:
-                self._shell.reject(key, self._rounds.tick, error)
+                self._mailbox.reject(key, self._rounds.tick, error)
                 respond(msgpack.packb({"error": str(error)}))
             except Exception:  # of ours: it must end this process, as on the main thread, and not this thread alone
                 traceback.print_exc()
@@ -122,7 +122,7 @@ class NetworkProcess(ABC, Generic[R]):
                 self._hosts.check(h, part.vehicle)
                 self._agent_put(part.vehicle, part.message)
             except (MalformedMessage, OutOfPlace) as error:
-                self._shell.reject(self._keys.tx(part.vehicle), self._rounds.tick, error)
+                self._mailbox.reject(self._keys.tx(part.vehicle), self._rounds.tick, error)
 
     def _agent_put(self, i: int, data: bytes) -> None:
         message = expect(data, Transmission, Hello, Receipt)
@@ -198,7 +198,7 @@ class NetworkProcess(ABC, Generic[R]):
                     raise MalformedMessage("control", f"expected the last tick, got {tick!r:.40}")
                 self._report(self._rounds.close(tick))
                 entered = [[*link, *counts] for link, counts in self._rounds.netem.entered.items()]
-                values = {"entered": entered, "rejected": dict(self._shell.rejected), "counts": self._counts}
+                values = {"entered": entered, "rejected": dict(self._mailbox.rejected), "counts": self._counts}
                 respond(msgpack.packb(values | {"timing": self._rounds.timing()}))
             case other:
                 raise MalformedMessage("control", f"no operation {other!r:.40}")

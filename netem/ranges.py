@@ -86,12 +86,12 @@ class NoRanges:
     def begin_round(self, round_: MediumRound) -> None:
         """Take the time of a round, and forget what vehicles without an agent had to send."""
 
-    def received(self, packet: PendingPacket, r: Reception) -> Ranged:
+    def take_packet(self, packet: PendingPacket, r: Reception) -> Ranged:
         """Take a packet that has come. Returns the packets that can be handed over now, each with its range or None."""
         return [(packet, None)]
 
-    def heard(self, r: Reception, end_tick: int) -> Ranged:
-        """Take the reception of a query. Returns the packets that can be handed over now, as `received` does."""
+    def take_query(self, r: Reception, end_tick: int) -> Ranged:
+        """Take the reception of a query. Returns the packets that can be handed over now, as `take_packet` does."""
         return []
 
     def take_due(self, now: int) -> list[Query]:
@@ -125,7 +125,7 @@ class OneWay(NoRanges):
         if self.queries:
             self.queries = [query for query in self.queries if query.src in (round_.positions or {})]
 
-    def received(self, packet: PendingPacket, r: Reception) -> Ranged:
+    def take_packet(self, packet: PendingPacket, r: Reception) -> Ranged:
         distance = self._air.range_m(r.src, r.dst)
         assert distance is not None  # both vehicles had a place when the packet was sent
         error = self._error(r.src, r.dst, r.seq)
@@ -166,7 +166,7 @@ class TwoWay(OneWay):
         super().__init__(config, acoustic, ranging, air)
         self._receivers = receivers
 
-    def received(self, packet: PendingPacket, r: Reception) -> Ranged:
+    def take_packet(self, packet: PendingPacket, r: Reception) -> Ranged:
         if packet.copy:
             return [(packet, None)]
         acoustic, tick_ns = self._acoustic, self._tick_ns
@@ -180,7 +180,7 @@ class TwoWay(OneWay):
         self.queries.append(Query(asks, packet.dst, packet.src, packet.seq, REQUEST))
         return []
 
-    def heard(self, r: Reception, end_tick: int) -> Ranged:
+    def take_query(self, r: Reception, end_tick: int) -> Ranged:
         modem = self._acoustic.modem_of(r.dst)
         after = max(end_tick, -(-(r.end_ns + round(modem.processing * 1e9)) // self._tick_ns))
         if r.copy == REQUEST:

@@ -31,21 +31,21 @@ class RealtimeNetemProcess(NetworkProcess[RealtimeRounds]):
     _pace = Pace(0, 0, 1)
 
     def _listen(self, bus: Bus, keys: Keys) -> None:
-        self._shell.subscribe(keys.tx("*"))
-        self._shell.answer(keys.ctl(NETEM))
+        self._mailbox.subscribe(keys.tx("*"))
+        self._mailbox.answer(keys.ctl(NETEM))
 
     def serve(self) -> None:
         """Tick by tick, until the process is ended."""
-        rounds, shell = self._rounds, self._shell
+        rounds, mailbox = self._rounds, self._mailbox
         while True:
             wait = (self._middle_ns(rounds.tick) - monotonic_ns()) / 1e9 if rounds.known else None
             if wait is None or wait > 0:
                 with suppress(Empty):
-                    self._handle(shell.take(wait))
+                    self._handle(mailbox.take(wait))
                 continue
             # What is there by now still belongs to this tick.
-            for _ in range(shell.queue.qsize()):
-                self._handle(shell.take())
+            for _ in range(mailbox.queue.qsize()):
+                self._handle(mailbox.take())
             if not rounds.known:
                 continue  # among it was that the run is over
             inboxes, report = rounds.exchange(monotonic_ns())
@@ -69,13 +69,13 @@ class RealtimeNetemProcess(NetworkProcess[RealtimeRounds]):
         held = []
         with suppress(Empty):
             for _ in range(MOST_REST):
-                item = self._shell.take(REST_S)
+                item = self._mailbox.take(REST_S)
                 if item.respond is None:
                     self._put(item.key, item.data)
                 else:
                     held.append(item)
         for item in held:
-            self._shell.queue.put(item)
+            self._mailbox.queue.put(item)
 
     def _middle_ns(self, tick: int) -> int:
         return self._begin_ns(tick) + self._pace.period_ns // 2

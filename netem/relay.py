@@ -114,12 +114,12 @@ class _Outbox(Transit):
 
     def lose(self, fate: Fate) -> None:
         part = self.now or self.named[fate.src, fate.seq]
-        self.final.append(carried(fate, part, max(fate.final_tick, self.reported)))
+        self.final.append(message_fate(fate, part, max(fate.final_tick, self.reported)))
         if self.spoiled is not None:
             self.spoiled.append(fate)
 
 
-def carried(fate: Fate, part: PacketPart, final_tick: int) -> MessageFate:
+def message_fate(fate: Fate, part: PacketPart, final_tick: int) -> MessageFate:
     """A fate with its message; `fate.payload` is the packet as it was sent, and is not kept."""
     return MessageFate(
         final_tick, fate.src, fate.dst, fate.seq, fate.copy, fate.sent_tick, fate.due_tick, fate.delay_ns,
@@ -166,7 +166,7 @@ class Relay:
         if modems and self._water is not None:
             self._news = ModemNews(config, self._water, self._out, self._called)
         self._taken = 0
-        self._leaving: dict[int, DueMessage] = {}  # given out by `handed` and not yet settled, by identity
+        self._leaving: dict[int, DueMessage] = {}  # given out by `due_messages` and not yet settled, by identity
         self._came: dict[int, list[tuple[PacketPart, bytes]]] = {}  # in water: what leaves at the next tick
         self._numbers = dict.fromkeys(config.vehicles, 0)  # in water: the number of the next packet, by sender
         self._next = 0  # tick of the next round, in water
@@ -224,7 +224,7 @@ class Relay:
                 self._dry.enter(self.tick(message.at_ns), link, data, cut)
         self._out.now = None
 
-    def handed(self, now_ns: int) -> Iterator[DueMessage]:
+    def due_messages(self, now_ns: int) -> Iterator[DueMessage]:
         """Every message that is due, in that order. The caller says with `settle` what became of each, and counts in
         `late` how late it was handed over.
         """
@@ -280,7 +280,7 @@ class Relay:
         under_way = [(packet, part) for _, _, packet, part in heap] + self._out.all_held()
         under_way += [(due.packet, due.part) for due in self._leaving.values()]
         self._leaving = {}
-        rest = [carried(packet.fate(end_tick, Cause.IN_FLIGHT), part, end_tick) for packet, part in under_way]
+        rest = [message_fate(packet.fate(end_tick, Cause.IN_FLIGHT), part, end_tick) for packet, part in under_way]
         lost = [structs.replace(fate, final_tick=end_tick, cause=Cause.IN_FLIGHT) for fate in self._out.final]
         self._out.heap, self._out.final = [], []
         return final + sorted([*rest, *lost], key=fate_order)
@@ -307,7 +307,7 @@ class Relay:
 
     def _end(self, packet: PendingPacket, part: PacketPart, at_ns: int, cause: Cause) -> None:
         tick = self._final_tick(packet, at_ns)
-        self._out.final.append(carried(packet._replace(due_tick=tick).fate(tick, cause), part, tick))
+        self._out.final.append(message_fate(packet._replace(due_tick=tick).fate(tick, cause), part, tick))
 
     def _faults(self, tick: int) -> ActiveFaults:
         if self._active[0] != tick or self._active[1] is not self.faults:
@@ -364,16 +364,16 @@ class Relay:
         if due.packet.corrupted or self._news is None:
             return None
         request = due.message.what
-        return self._news.arrived(due.packet, self.places).frame(
+        return self._news.arrival(due.packet, self.places).frame(
             request.src, request.to, request.what, due.payload, request.head, self._begin_ns
         )
 
     def hand_to(self, modem: ModemEndpoint, due: DueMessage) -> None:
         """Hand a message that is due to a modem: its frame, or the news that it is damaged."""
         if (frame := self.frame_of(due)) is not None:
-            modem.heard(frame)
+            modem.on_heard(frame)
         elif self._news is not None:
-            tell(modem, self._news.damaged(due.packet), self._begin_ns)
+            tell(modem, self._news.damaged_frame(due.packet), self._begin_ns)
 
     def _whole(self, packet: PendingPacket, part: PacketPart) -> bytes | None:
         """The payload that has arrived with a packet; None: parts of it are missing, or it was there already."""

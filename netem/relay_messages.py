@@ -84,7 +84,7 @@ class RelayReport(Struct):
 
     until: int  # below 0: of the time in which programs get ready
     fates: list[MessageFate]
-    said: list[LoggedMessage] = []
+    messages: list[LoggedMessage] = []
     placed: list[tuple[int, str, bytes]] = []  # robot, key, and message of a topic that says where it is
     notes: list[str] = []
     watched: list[WatchedMessage] = []

@@ -24,7 +24,7 @@ import msgspec
 from msgspec import Struct
 
 from netem.discovery import Discovery
-from netem.endpoint import ModemEndpoint, ModemRequest, Sea
+from netem.endpoint import ModemChannel, ModemEndpoint, ModemRequest
 from netem.errors import BusError
 from netem.faults import read_faults
 from netem.histogram import Histogram
@@ -94,18 +94,18 @@ class RelayProcess:
         self._robots: dict[int, Robot] = {}
         self._sockets: dict[tuple[int, int], socket.socket] = {}
         self._senders: dict[int, tuple[Any, int]] = {}  # by robot: where its datagrams come from, and since when
-        self._names = {access.number: access.name for access in setup.robots}
+        self._names = {endpoint.number: endpoint.name for endpoint in setup.robots}
         self._modems: dict[int, ModemEndpoint] = {}  # by robot
         self.opened: dict[int, str] = {}  # by robot: where programs open it
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._notes: list[str] = []
-        self._said: list[LoggedMessage] = []
+        self._logged: list[LoggedMessage] = []
         self._watched: list[WatchedMessage] = []
         self._end: int | None = None  # the tick before which the run ends, as soon as that is known
         self._begin_ns: int | None = None  # when tick 0 begins; None: programs get ready, and it is not known yet
         self._rehearsal: Relay | None = None  # the relay of that time, as long as something of it is under way
         self._faults: Any = None  # those that the console gave last; None: those of the settings
-        self._inlets = {access.number: Inlet(queue.put) for access in setup.robots}
+        self._inlets = {endpoint.number: Inlet(queue.put) for endpoint in setup.robots}
         self._refused: Counter[int] = Counter()  # by robot: messages that found no room on their way here
         self._hearers: dict[int, set[int]] = {}  # by robot: those that get its queries and tokens
         self._queries = OpenQueries(self._hearers, self._end_query)
@@ -116,9 +116,9 @@ class RelayProcess:
         self._came = Histogram()  # how long what comes waits for this process
         self._isolated = IsolatedRobots(setup.isolated, self._names, setup.config.links)  # before there is any thread
         try:
-            for access in setup.robots:
-                if access.listen or access.connect:
-                    self._robots[access.number] = Robot(access, setup.carry, self._inlets[access.number])
+            for endpoint in setup.robots:
+                if endpoint.listen or endpoint.connect:
+                    self._robots[endpoint.number] = Robot(endpoint, setup.carry, self._inlets[endpoint.number])
             for modem in setup.modems:
                 self.opened[modem.number] = modem.listen()
                 self._modems[modem.number] = modem
@@ -219,7 +219,7 @@ class RelayProcess:
 
             longest = acoustic.longest(config.tick_ns, i) - self._setup.header
             modem.begin(
-                Sea(acoustic.modem_of(i), longest, acoustic.buffer, access_s, acoustic.sound_speed, begin_ns,
+                ModemChannel(acoustic.modem_of(i), longest, acoustic.buffer, access_s, acoustic.sound_speed, begin_ns,
                     config.seed, names[i], addresses, self._queue.put, place, move)
             )  # fmt: skip
 
@@ -301,20 +301,20 @@ class RelayProcess:
     def _message(self, item: Any) -> None:
         message = robots.read(item)
         if message is None:
-            self._queries.ended(item.ticket, item.robot)
+            self._queries.on_robot_ended(item.ticket, item.robot)
             return
         self._inlets[message.src].release(len(message.payload))
         if message.kind == QUERY:
             self._queries.begin(message.what, len(message.payload))
         elif message.kind == REPLY:
-            self._queries.sent(message.what[0], message.src)
+            self._queries.add_replies(message.what[0], message.src)
         self._send_message(message)
 
     def _send_message(self, message: RobotMessage) -> None:
         if self._setup.payloads and len(message.payload) <= MOST_KEPT_BYTES:
             encoding = str(message.what.encoding) if message.kind == PUT else ""
             tick = self._relay.tick(message.at_ns)
-            self._said.append(LoggedMessage(tick, message.src, message.key, message.kind, encoding, message.payload))
+            self._logged.append(LoggedMessage(tick, message.src, message.key, message.kind, encoding, message.payload))
         self._relay.take(message)
 
     def _refuse(self) -> None:
@@ -324,7 +324,7 @@ class RelayProcess:
                 what = name if isinstance(name, Unfit) else Unfit(PUT, "", 0)
                 self._refused[src] += count
                 if what.ticket is not None:
-                    self._queries.sent(what.ticket, src, count)
+                    self._queries.add_replies(what.ticket, src, count)
                 for _ in range(count):
                     message = RobotMessage(src, what.kind, what.key, b"", monotonic_ns(), to=what.to)
                     self._relay.refuse(message, what.size)
@@ -353,7 +353,7 @@ class RelayProcess:
                 self._rehearsal = None
 
     def _hand_over_of(self, relay: Relay) -> None:
-        for due in relay.handed(monotonic_ns()):
+        for due in relay.due_messages(monotonic_ns()):
             if due.message.kind in (DATAGRAM, PACKET):
                 at_ns = monotonic_ns()
                 relay.late.add(at_ns - due.due_ns)
@@ -385,7 +385,7 @@ class RelayProcess:
         if not robot.outlet.offer(due, due.due_ns, len(payload), hand):
             return False
         if message.kind == REPLY:
-            self._queries.arrived(message.what[0], message.src)
+            self._queries.on_reply(message.what[0], message.src)
         return True
 
     def _sent(self, due: DueMessage) -> bool:
@@ -447,9 +447,9 @@ class RelayProcess:
 
     def _report(self, until: int, fates: list[MessageFate]) -> None:
         placed = [(i, *robot.placed.pop()) for i, robot in self._robots.items() if robot.placed]
-        said = self._said if until >= 0 else []
-        report = RelayReport(until, fates, said, placed, self._notes, self._watched)
-        self._said, self._notes, self._watched = [], [], []
+        logged = self._logged if until >= 0 else []
+        report = RelayReport(until, fates, logged, placed, self._notes, self._watched)
+        self._logged, self._notes, self._watched = [], [], []
         self._outgoing.put(msgspec.msgpack.encode(report))
         while self._outgoing.qsize() > _BEHIND:
             self._sender.join(0.01)
@@ -467,7 +467,7 @@ class RelayProcess:
         # Programs notice that their ports are closed, and may end. Before the last tick that would count as a failure.
         tick_ns = self._setup.config.tick_ns
         sleep(min(max(0, (self._begin_ns or 0) + end * tick_ns - monotonic_ns()), tick_ns) / 1e9)
-        self._end_with(RelayReport(end, fates, self._said, [], self._notes, self._watched, closing))
+        self._end_with(RelayReport(end, fates, self._logged, [], self._notes, self._watched, closing))
 
     def _sum_up(self) -> None:
         """Notes about the whole run: who was slow, what stayed with its robot, what found no room."""

@@ -58,12 +58,12 @@ class HeldPacket(NamedTuple):
     reverse: bool
 
 
-def stamped(delivery: Delivery, clocks: Clocks) -> Delivery:
+def with_sender_time(delivery: Delivery, clocks: Clocks) -> Delivery:
     """The same with the time of sending by the clock of its sender, as its modem stamps it."""
     return replace(delivery, sent_tick=clocks.reading_ticks(delivery.src, delivery.sent_tick))
 
 
-def ranged(delivery: Delivery, measured: MeasuredRange) -> Delivery:
+def with_range(delivery: Delivery, measured: MeasuredRange) -> Delivery:
     """The same with its range, as its receiver knows it."""
     return replace(delivery, range_m=measured.range_m, range_sd_m=measured.sd_m, range_tick=measured.tick)
 
@@ -144,8 +144,8 @@ class Transit:
                     self.announced.append(packet)
                     delivery = Delivery(*packet[:5], packet.payload)
                     if self.ranges and (measured := self.ranges.get(packet.name)) is not None:
-                        delivery = ranged(delivery, measured)
-                    inbox.append(delivery if clocks is None else stamped(delivery, clocks))
+                        delivery = with_range(delivery, measured)
+                    inbox.append(delivery if clocks is None else with_sender_time(delivery, clocks))
             if self._reversed:
                 last = self._reversed  # comes first among what is due at the same tick
                 inbox.sort(

@@ -58,8 +58,8 @@ class FrameAssembly:
             tick, last = self._next, self._ticks
             del self._rows[tick]
             rows.sort(key=attrgetter("id"))
-            lives = _in_order(self._lives.pop(tick, ()))
-            tumbles = _in_order(self._tumbles.pop(tick, ()))
+            lives = _sort_changes(self._lives.pop(tick, ()))
+            tumbles = _sort_changes(self._tumbles.pop(tick, ()))
             said = tuple(sorted(self._said.pop(tick, ()), key=attrgetter("vehicle")))
             frames.append(Frame(tick, False, lives, tumbles, tuple(rows), said))
             self._next = min(last, tick + self._every) if tick < last else last + 1
@@ -69,6 +69,6 @@ class FrameAssembly:
         return min(-(-tick // self._every) * self._every, self._ticks)
 
 
-def _in_order(changes: Iterable[_Change]) -> tuple[_Change, ...]:
+def _sort_changes(changes: Iterable[_Change]) -> tuple[_Change, ...]:
     """By tick and vehicle; the changes of one vehicle at one tick stay in their order: it began, and ended at once."""
     return tuple(sorted(changes, key=attrgetter("tick", "vehicle")))

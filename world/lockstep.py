@@ -63,7 +63,7 @@ class Lockstep:
         over at this tick. None: as planned.
         """
         state = self.state
-        if incarnation != state.incarnation(i) or state.without_agent(i):
+        if incarnation != state.incarnation(i) or state.lacks_agent(i):
             return []
         nav = self._awaiting.pop(i, None)
         tick = state.tick_of(i) if nav is None else nav.tick

@@ -21,7 +21,7 @@ from world.process import WorldProcess
 from world.realtime_process import RealtimeWorldProcess
 
 
-class Sea(NamedTuple):
+class WorldSetup(NamedTuple):
     """The parameters of a world process, whether it hosts the router or joins one."""
 
     config: WorldConfig
@@ -36,7 +36,7 @@ def run(
     run_id: str,
     credentials: dict[str, Credentials],
     private: Path,
-    sea: Sea,
+    setup: WorldSetup,
     listener: Listener | None,
     certified: Listener | None,
     members: Members,
@@ -54,27 +54,32 @@ def run(
     """
     keys, refusals = Keys(run_id), Refusals()
     listen(refusals)
-    vehicles = tuple(setup.id for setup in sea.config.vehicles)
+    vehicles = tuple(vehicle.id for vehicle in setup.config.vehicles)
     bus = Bus.host(endpoint, keys, vehicles, credentials, private, listener, members)
     if certified is not None:
         CertificateRouter(bus, keys, vehicles, certified)
-    _process(bus, keys, sea, ends, refusals, members).serve_or_give_up()
+    _process(bus, keys, setup, ends, refusals, members).serve_or_give_up()
 
 
-def join(endpoint: str, run_id: str, credentials: Credentials, sea: Sea, ends: socket | None) -> None:
+def join(endpoint: str, run_id: str, credentials: Credentials, setup: WorldSetup, ends: socket | None) -> None:
     """Serve the sea of a run through a router that is there already; as `run` otherwise. Raises BusError if the router
     does not let us in.
     """
     quiet_zenoh()
     bus = Bus.connect(endpoint, credentials)
     end_with_link(bus, credentials)
-    _process(bus, Keys(run_id), sea, ends).serve_or_give_up()
+    _process(bus, Keys(run_id), setup, ends).serve_or_give_up()
 
 
 def _process(
-    bus: Bus, keys: Keys, sea: Sea, ends: socket | None, refusals: Refusals | None = None, members: Members = ()
+    bus: Bus,
+    keys: Keys,
+    setup: WorldSetup,
+    ends: socket | None,
+    refusals: Refusals | None = None,
+    members: Members = (),
 ) -> WorldProcess:
-    if sea.clock is Clock.LOCKSTEP:
-        run = Lockstep(sea.config, frame_every=sea.frame_every)
-        return WorldProcess(bus, keys, run, refusals, sea.most_asked, members, ends)
-    return RealtimeWorldProcess(bus, keys, sea.config, sea.frame_every, sea.speed, refusals)
+    if setup.clock is Clock.LOCKSTEP:
+        run = Lockstep(setup.config, frame_every=setup.frame_every)
+        return WorldProcess(bus, keys, run, refusals, setup.most_asked, members, ends)
+    return RealtimeWorldProcess(bus, keys, setup.config, setup.frame_every, setup.speed, refusals)

@@ -49,7 +49,7 @@ from netem.wire.vehicle_bus import Inbound
 from world.errors import IntegrationError
 from world.lockstep import Lockstep, NavTo, Out
 from world.realtime import RealtimeRun
-from world.turns import Turn, Turns
+from world.turns import TickOrder, Turn
 
 log = logging.getLogger(__name__)
 
@@ -87,8 +87,8 @@ class WorldProcess:
         self._ids = run.state.ids
         most = len(self._ids) if most_asked is None else most_asked
         self._hosts = hosts = AgentGroups(bus, keys, members, keys.cmd)
-        self._turns = Turns(run.config.round_ticks, most, lambda i, nav: -hosts.of(i, nav.incarnation) or i)
-        self._shell = Mailbox(bus, WORLD, keys.note(WORLD))
+        self._turns = TickOrder(run.config.round_ticks, most, lambda i, nav: -hosts.of(i, nav.incarnation) or i)
+        self._mailbox = Mailbox(bus, WORLD, keys.note(WORLD))
         self._nav: dict[int, Callable[[bytes], None]] = {i: bus.publisher(keys.nav(i)) for i in self._ids}
         self._round = bus.publisher(keys.round)
         self._frame = bus.publisher(keys.frame)
@@ -108,7 +108,7 @@ class WorldProcess:
         bus.watch_tokens(keys.alive("*"), self._token)
         bus.token(keys.alive(WORLD))
         self._refusals = refusals or Refusals()
-        self._refusals.report_to(lambda text: self._shell.note(0, min(map(self._state.tick_of, self._ids)), text))
+        self._refusals.report_to(lambda text: self._mailbox.note(0, min(map(self._state.tick_of, self._ids)), text))
 
     def _listen(self, bus: Bus, ends: socket | None) -> None:
         # Commands and grants: an agent owes one at a time.
@@ -157,7 +157,7 @@ class WorldProcess:
 
     def _reject(self, key: str, error: MalformedMessage | OutOfPlace) -> None:
         i = vehicle_of(key)
-        self._shell.reject(key, self._state.tick_of(i) if i in self._ids else 0, error)
+        self._mailbox.reject(key, self._state.tick_of(i) if i in self._ids else 0, error)
 
     def _from_console(self, message: Message) -> None:
         """Carry out the console's requests in their order. None of them changes a tick that was granted before."""
@@ -166,7 +166,7 @@ class WorldProcess:
             case Grant():
                 self._publish(run.grant(message.until))
             case WorldFaults():
-                state.world.faults = _checked(message.faults)
+                state.world.faults = _check_faults(message.faults)
             case Death(vehicle=i) if i in self._ids:
                 if message.tick is not None:
                     state.lives.add(Absence(i, message.tick, message.until))
@@ -228,7 +228,7 @@ class WorldProcess:
 
     def _publish(self, out: list[Out]) -> None:
         for i, tick, text in self._state.notes:
-            self._shell.note(i, tick, text)
+            self._mailbox.note(i, tick, text)
         self._state.notes.clear()
         round_over = False
         for item in out:
@@ -237,7 +237,7 @@ class WorldProcess:
             elif isinstance(item, Round):
                 round_over = True
                 self._send_round(item)
-                self._turns.passed(item.tick)
+                self._turns.on_round_passed(item.tick)
         while (turn := self._turns.take()) is not None:
             self._send_navs(turn)
         with self._frames_lock:
@@ -306,8 +306,8 @@ class WorldProcess:
         state = self._state
         for i in () if alive or self._run.finished else self._token_roles.get(key, ()):
             # The end of the token of an agent that was to end may come only when the next agent has begun.
-            if not state.without_agent(i) and not state.incarnation(i):
-                self._shell.note(i, state.tick_of(i), "its session ended")
+            if not state.lacks_agent(i) and not state.incarnation(i):
+                self._mailbox.note(i, state.tick_of(i), "its session ended")
 
     def _control(self, key: str, data: bytes, respond: Respond) -> None:
         """Answer the console, on a zenoh thread, while the main thread may wait: of the run this only reads."""
@@ -340,7 +340,7 @@ class WorldProcess:
 
     def _rejected(self) -> dict[str, int]:
         # Copies, which are made in one piece: other threads count meanwhile.
-        return {**self._shell.rejected.copy(), **self._refusals.counts.copy()}
+        return {**self._mailbox.rejected.copy(), **self._refusals.counts.copy()}
 
     def _timing(self) -> dict[str, Any]:
         """How the world and the agents kept up with the wall clock; empty in lockstep."""
@@ -352,7 +352,7 @@ def _check_version(hello: Hello) -> None:
         raise MalformedMessage("hello", f"protocol version {hello.version}, ours is {PROTOCOL_VERSION}")
 
 
-def _checked(faults: tuple[WorldFault, ...]) -> tuple[WorldFault, ...]:
+def _check_faults(faults: tuple[WorldFault, ...]) -> tuple[WorldFault, ...]:
     for fault in faults:
         if len(fault.values) != (expected := fault.kind.numbers):
             got = len(fault.values)

@@ -155,7 +155,7 @@ class RealtimeRun:
         over at this tick. None: as planned.
         """
         state = self.state
-        if incarnation != state.incarnation(i) or state.without_agent(i):
+        if incarnation != state.incarnation(i) or state.lacks_agent(i):
             return []
         tick = state.tick_of(i)
         if self._answered[i] >= tick:

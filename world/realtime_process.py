@@ -50,7 +50,7 @@ class RealtimeWorldProcess(WorldProcess):
         super().__init__(bus, keys, run, refusals)
 
     def _listen(self, bus: Bus, ends: socket | None) -> None:
-        self._came = bus.stamped(self._keys.cmd("*"))
+        self._came = bus.stamped_queue(self._keys.cmd("*"))
 
     def serve(self) -> None:
         """Begin and end one tick after the other, until the process is ended."""

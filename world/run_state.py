@@ -57,9 +57,9 @@ class RunState:
         """Which life of its agent vehicle i is in at the tick that it has reached."""
         return self.lives.incarnation(i, self.tick_of(i))
 
-    def without_agent(self, i: int) -> bool:
+    def lacks_agent(self, i: int) -> bool:
         """Whether vehicle i has no agent at the tick that it has reached."""
-        return i in self._diverged or self.lives.without_agent(i, self.tick_of(i))
+        return i in self._diverged or self.lives.lacks_agent(i, self.tick_of(i))
 
     def check(self, i: int, command: Command) -> None:
         """Check that a command is of the right life and has the declared telemetry. Raises OutOfPlace if it is not, or
@@ -76,7 +76,7 @@ class RunState:
         """
         # A vehicle that diverged has none for good: lives stay those that the console and netem know of.
         diverged = i in self._diverged
-        absent = diverged or self.lives.without_agent(i, k)
+        absent = diverged or self.lives.lacks_agent(i, k)
         changed = absent != (i in self._absent)
         life = self.lives.incarnation(i, k)
         # A life may have ended before it began.
@@ -163,7 +163,7 @@ class RunState:
         self.world.take_over(before.world)
         self.tau, self._delayed, self._diverged = before.tau, before._delayed, before._diverged
         self._tumbled, self._tumblings = before._tumbled, before._tumblings
-        self._absent = self._diverged | {i for i in self.ids if self.lives.without_agent(i, tick - 1)}
+        self._absent = self._diverged | {i for i in self.ids if self.lives.lacks_agent(i, tick - 1)}
         self.life = {i: self.lives.incarnation(i, tick - 1) for i in self.ids}
         self.frames.begin(tick, before.frames)
 

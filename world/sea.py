@@ -56,7 +56,7 @@ class _Vehicle:
             x, y, z, theta, psi, u, v, w, q, r = self.state
             phi, p = setup.plant.phi0, setup.plant.p0
             self.plant.start(0, (x, y, z, phi, theta, psi), (u, v, w, p, q, r))
-            self.state = _of_plant(self.plant)
+            self.state = _plant_state(self.plant)
             t1, t2, t3 = self.tau_max
             l1, l2, l3 = self.plant.limits
             self.tau_max = min(t1, l1), min(t2, l2), min(t3, l3)
@@ -73,7 +73,7 @@ class _Vehicle:
                 x, y, z, theta, psi, u, v, w, q, r = self.state
                 phi, p = (0.0, 0.0) if before.plant is None else before.plant.roll
                 self.plant.start(self.tick, (x, y, z, phi, theta, psi), (u, v, w, p, q, r))
-                self.state = _of_plant(self.plant)
+                self.state = _plant_state(self.plant)
         if self.navigation is not None:
             if before.navigation is not None and self.setup.navigation == before.setup.navigation:
                 self.navigation = before.navigation
@@ -144,7 +144,7 @@ class World:
         vehicle = self._vehicles[i]
         measured: Measured = (eta, nu, () if vehicle.plant is None else vehicle.plant.roll)
         if vehicle.navigation is not None:
-            measured = vehicle.navigation.believed(vehicle.state, measured[2])
+            measured = vehicle.navigation.belief(vehicle.state, measured[2])
         tick = vehicle.tick
         if self._noise is not None:
             measured = measure(measured, self._noise, self.config.seed, i, tick)
@@ -157,13 +157,13 @@ class World:
                     measured = measure(measured, extra, self.config.seed, i, tick, _purpose(fault))
                 case WorldFaultKind.BIAS:
                     # Twelve numbers, of which a vehicle without roll has no use for the last two.
-                    measured = split([a + b for a, b in zip(_joined(measured), fault.values, strict=False)])
+                    measured = split([a + b for a, b in zip(_join(measured), fault.values, strict=False)])
                 case WorldFaultKind.FREEZE:
-                    measured = split(self._held.setdefault((fault.id, i), _joined(measured)))
+                    measured = split(self._held.setdefault((fault.id, i), _join(measured)))
                 case WorldFaultKind.DROPOUT:
                     known = self._held.get((fault.id, i))
                     if known is None or uniform(self.config.seed, _purpose(fault), i, tick) >= fault.values[0]:
-                        self._held[fault.id, i] = _joined(measured)
+                        self._held[fault.id, i] = _join(measured)
                     else:
                         measured = split(known)
         return measured
@@ -270,7 +270,7 @@ class World:
         plant, tick = vehicle.plant, vehicle.tick
         wrenches: list[Vec6] = [(x, y, z, 0.0, m, n) for _, (x, y, z, m, n), _ in forces]
         plant.advance(tick, tau, current, wrenches, self._h)
-        after = _of_plant(plant)
+        after = _plant_state(plant)
         if vehicle.navigation is not None:
             self._navigate(i, vehicle.navigation, after, current)
         vehicle.state = after
@@ -346,12 +346,12 @@ class World:
         return tuple((d[2 * j], d[2 * j + 1], d[2 * j + 2]) for j in range(n))
 
 
-def _joined(measured: Measured) -> tuple[float, ...]:
+def _join(measured: Measured) -> tuple[float, ...]:
     eta, nu, roll = measured
     return (*eta, *nu, *roll)
 
 
-def _of_plant(plant: Any) -> State:
+def _plant_state(plant: Any) -> State:
     x, y, z, _, theta, psi = plant.pose
     u, v, w, _, q, r = plant.velocity
     return x, y, z, theta, psi, u, v, w, q, r

@@ -22,7 +22,7 @@ from netem.wire.messages import (
 Turn = list[tuple[int, Nav]]  # vehicles, whose agents are asked in one message, and what they are asked
 
 
-class Turns:
+class TickOrder:
     """Which navs may leave.
 
     An agent's turn is over with the command of a round tick. It gets the navs after that tick when all agents have
@@ -92,7 +92,7 @@ class Turns:
             queue.clear()
             queue.extend(still)
 
-    def passed(self, tick: int) -> None:
+    def on_round_passed(self, tick: int) -> None:
         """All vehicles have passed a round tick."""
         self._passed = tick
         early, self._early = self._early, []

@@ -22,7 +22,7 @@ def minus(a: Vec3, b: Vec3) -> Vec3:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def moved(a: Vec3, direction: Vec3, length: float) -> Vec3:
+def move_along(a: Vec3, direction: Vec3, length: float) -> Vec3:
     """`a` moved by `length` in a direction."""
     return a[0] + direction[0] * length, a[1] + direction[1] * length, a[2] + direction[2] * length
 
@@ -33,7 +33,7 @@ def scale(a: Vec3, factor: float) -> Vec3:
 
 def perpendicular(a: Vec3, ahead: Vec3) -> Vec3:
     """The part of a across a unit vector."""
-    return moved(a, ahead, -dot(a, ahead))
+    return move_along(a, ahead, -dot(a, ahead))
 
 
 def dot(a: Vec3, b: Vec3) -> float:

@@ -137,11 +137,11 @@ def solve(problem: GainProblem, solver: Solver = "piqp") -> Solution | NoSolutio
             K[axis] = min(max(-q[axis] / P[axis], lo[axis]), hi[axis])
             free.append(axis)
     if free and solver == "piqp":
-        return _confirmed(problem, (K[0], K[1], K[2]), free)
+        return _confirm(problem, (K[0], K[1], K[2]), free)
     return Solution((K[0], K[1], K[2]))
 
 
-def _confirmed(problem: GainProblem, K: Vec3, free: list[int]) -> Solution:
+def _confirm(problem: GainProblem, K: Vec3, free: list[int]) -> Solution:
     """The exact gain K, and whether PIQP agrees with it. Every call sets up a new solver. The last bits of a solver
     that is updated depend on the problems before.
     """

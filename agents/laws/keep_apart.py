@@ -42,7 +42,7 @@ from agents.config import KeepApartParams
 from agents.laws.velocity_command import clip, slew
 from agents.sample import Sample
 from world.signal import Signal
-from world.vectors import ZERO, Vec3, dot, minus, moved, scale
+from world.vectors import ZERO, Vec3, dot, minus, move_along, scale
 
 # The price of a unit of slack. It is larger than the multipliers of constraints that can be kept: these have no slack.
 PENALTY = 1000.0
@@ -107,7 +107,7 @@ def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: K
     found = []
     for _, place, v, age in neighbours:
         span = min(age, params.age_cap_s)
-        n, distance = _direction(minus(position, moved(place, v, span)))
+        n, distance = _direction(minus(position, move_along(place, v, span)))
         h = distance - params.distance - margin(age, sqrt(dot(v, v)), params)
         moves = v if age <= params.age_cap_s else ZERO  # an old neighbour is taken to wait where the extrapolation ends
         own, its = dot(n, velocity), dot(n, moves)
@@ -119,7 +119,7 @@ def bounds(position: Vec3, velocity: Vec3, neighbours: Iterable[Seen], params: K
     return found
 
 
-def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartParams) -> Filtered:
+def filter_velocity(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartParams) -> Filtered:
     """The commanded velocity [m/s, NED] that keeps every constraint, or misses the worst of them by as little as
     possible.
 
@@ -134,11 +134,11 @@ def apart(rho: Vec3, found: Sequence[Bound], ahead: Bound, params: KeepApartPara
     if worst <= 0.0:
         return Filtered(rho, 0, 0.0)
     first = found[missed.index(worst)]
-    target = moved(rho, _aside(first, rho), ASIDE * worst)
+    target = move_along(rho, _aside(first, rho), ASIDE * worst)
     widest = _widest(rho, params)
     answer = _nearest(target, found, (ahead.n, min(ahead.least, dot(ahead.n, rho))), widest)
     if answer is None:  # what PIQP cannot solve, such as the velocities of a neighbour that lies
-        answer = clip(moved(rho, first.n, worst), scale(widest, -1.0), widest)
+        answer = clip(move_along(rho, first.n, worst), scale(widest, -1.0), widest)
     rest = [bound.least - dot(bound.n, answer) for bound in found]
     slack = max(rest)
     return Filtered(answer, sum(left >= -SLACK for left in rest), slack if slack > SLACK else 0.0)
@@ -181,20 +181,20 @@ def _nearest(target: Vec3, found: Sequence[Bound], ahead: tuple[Vec3, float], wi
     duals = [*result.z_l.tolist(), low[3], *low[:3], *high[:3]]
     slacks = [*result.s_l.tolist(), room[3], *room[:3], *result.s_bu.tolist()[:3]]
     active = [k for k, (dual, slack) in enumerate(zip(duals, slacks, strict=True)) if dual > slack]
-    if (exact := _polished(target, rows, active)) is not None:
+    if (exact := _polish(target, rows, active)) is not None:
         return clip(exact, scale(widest, -1.0), widest)
     north, east, down, _ = result.x.tolist()
     return north, east, down
 
 
-def _polished(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
+def _polish(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
     """The nearest velocity in closed form, from the constraints that hold with equality; None: these are no solution.
 
     PIQP's builds differ in the last bits, and from there a run goes another way. `active` is what PIQP found. A
     constraint that pushes the wrong way is left out, and a constraint that is missed is added, one at a time.
     """
     for _ in range(CHANGES):
-        solved = _eliminated(target, rows, active)
+        solved = _eliminate(target, rows, active)
         if solved is None:
             return None
         x, y, z, slack, *pushes = solved
@@ -210,7 +210,7 @@ def _polished(target: Vec3, rows: list[_Row], active: list[int]) -> Vec3 | None:
     return None
 
 
-def _eliminated(target: Vec3, rows: list[_Row], active: list[int]) -> list[float] | None:
+def _eliminate(target: Vec3, rows: list[_Row], active: list[int]) -> list[float] | None:
     """rho, the slack, and how hard each active constraint pushes: rho - target = n' pushes, and these sum up to PENALTY
     on the slack. One whose direction follows from others does not push. None: they contradict each other. (Gauss, with
     the largest pivot of a column.)
@@ -292,7 +292,7 @@ class KeepApart:
         ahead = Bound((cos(heading), sin(heading), 0.0), self._least_ahead, ZERO)
         found = bounds(sample.eta[:3], sample.velocity, neighbours, params)
         asked, rho = rho, self._level(rho)
-        goal, active, slack = apart(rho, found, ahead, params)
+        goal, active, slack = filter_velocity(rho, found, ahead, params)
         self.infeasible += slack > 0.0
         if active or self._changes:
             before = rho if self._answer is None else self._answer

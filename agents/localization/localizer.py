@@ -26,7 +26,7 @@ from agents.errors import PayloadError
 from agents.laws.kinematics import earth_velocity
 from agents.localization.mirror_image import MirrorImage, PlaceEstimate
 from agents.localization.payload import LocatedMessage, decode, is_located
-from agents.localization.range_fusion import Covariance, Fused, fused, grown
+from agents.localization.range_fusion import Covariance, Fused, fuse_range, grown
 from agents.payload import StateMessage
 from netem.wire.messages import Delivery, Nav
 from world.signal import Signal
@@ -45,7 +45,7 @@ _NOTHING: Covariance = (0.0, 0.0, 0.0)
 class Navigated:
     """A vehicle is where its navigator says; what it hears of others moves it nowhere."""
 
-    def located(self, nav: Nav) -> Nav:
+    def locate(self, nav: Nav) -> Nav:
         return nav
 
     def absorb(self, nav: Nav, deliveries: Sequence[Delivery]) -> Nav:
@@ -56,7 +56,7 @@ class Navigated:
 
 
 class Localizer(Navigated):
-    """The estimate of one vehicle. Call `located` at every sample, and `absorb` with what has come."""
+    """The estimate of one vehicle. Call `locate` at every sample, and `absorb` with what has come."""
 
     signals = (
         Signal("located", "m", "its position by its navigator and by ranges, NED", 3),
@@ -97,7 +97,7 @@ class Localizer(Navigated):
         self.refused = 0
         self._nis_sum = 0.0  # sum of the NIS of the ranges used
 
-    def located(self, nav: Nav) -> Nav:
+    def locate(self, nav: Nav) -> Nav:
         """The same nav with the position and covariance from all information so far; idempotent within a tick."""
         if nav.tick != self._tick:
             self._advance(nav)
@@ -166,7 +166,7 @@ class Localizer(Navigated):
 
     def absorb(self, nav: Nav, deliveries: Sequence[Delivery]) -> Nav:
         """Use the ranges that have come, and return the nav with the position from all information so far."""
-        self.located(nav)
+        self.locate(nav)
         now = nav.tick if nav.clock_ns is None else round(nav.clock_ns / (self._tick_s * 1e9))
         for delivery in deliveries if self._params is not None else ():
             if delivery.range_m is None or not is_located(delivery.payload):
@@ -177,7 +177,7 @@ class Localizer(Navigated):
                 continue  # counted where states are taken
             if message.state.sender == delivery.src and message.state.sent_tick <= now + 60.0 / self._tick_s:
                 self._use(delivery, message, now - nav.tick)
-        return self.located(nav)
+        return self.locate(nav)
 
     def _use(self, delivery: Delivery, message: LocatedMessage, ahead: int) -> None:
         assert delivery.range_m is not None and self._params is not None
@@ -200,7 +200,7 @@ class Localizer(Navigated):
             """Use the range from where the vehicle then was, if it is here now."""
             place = own.place[0] - back[0], own.place[1] - back[1]
             independent = method != "consistent"
-            return fused(place, own.covariance, other, message.covariance, deeper, ranged_m, variance, independent)
+            return fuse_range(place, own.covariance, other, message.covariance, deeper, ranged_m, variance, independent)
 
         if self.mirror is not None:
             self._compare(fuse, back)
@@ -217,7 +217,7 @@ class Localizer(Navigated):
         if self.mirror is not None:
             sender = other[0] - then[1], other[1] - then[2]
             own = self._without_way(self._place, self._covariance)
-            self.mirror.seen(
+            self.mirror.on_range(
                 sender,
                 message.covariance[0] + message.covariance[2],
                 own,

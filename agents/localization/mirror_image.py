@@ -57,7 +57,7 @@ class MirrorImage:
         """That it is the mirror image; 0: there is none."""
         return 0.0 if self.other is None else 1.0 / (1.0 + exp(max(-700.0, min(700.0, self.odds))))
 
-    def seen(self, sender: Place, variance: float, own: PlaceEstimate, navigator: PlaceEstimate) -> None:
+    def on_range(self, sender: Place, variance: float, own: PlaceEstimate, navigator: PlaceEstimate) -> None:
         """A range to a sender was used: the mirror image begins when the line is long enough, if it is credible.
 
         Args:

@@ -41,7 +41,7 @@ class Fused(NamedTuple):
     nis: float  # normalised square of the innovation; chi-square with 1 degree of freedom
 
 
-def fused(
+def fuse_range(
     place: tuple[float, float],
     covariance: Covariance,
     other: tuple[float, float],

@@ -12,7 +12,7 @@ from agents.sample import Sample
 from agents.signals import COMMANDED, HEARD
 from world.errors import UntrustedError
 from world.plugins.checks import check_class, check_signals
-from world.plugins.fence import Fence, shown
+from world.plugins.fence import Fence, show_value
 from world.plugins.loading import file_class, load_class, unit_file
 from world.plugins.trust import permitted_file
 from world.signal import Signal
@@ -92,6 +92,6 @@ class FencedLaw:
         fence, method, tick = self._fence, self._law.step, sample.tick
         answer = fence.call(tick, method, sample, *more)
         if not isinstance(answer, tuple) or len(answer) != 2:
-            raise fence.wrong(tick, method, f"returned {shown(answer)}: expected ({self._what}, telemetry)")
+            raise fence.wrong(tick, method, f"returned {show_value(answer)}: expected ({self._what}, telemetry)")
         vector = fence.vector(tick, method, self._what, answer[0])
         return vector, fence.telemetry(tick, method, self._signals, answer[1])

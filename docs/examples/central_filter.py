@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fleet.addons.studies.one_run import recorded
+from fleet.addons.studies.one_run import run_and_record
 from fleet.addons.studies.statistics import median
 from fleet.logs.open_log import open_log
 from fleet.scenario.loading import load_scenario
@@ -194,7 +194,7 @@ def measured(name: str, seed: int) -> dict[str, float]:
     localization = f"agent.localization={{method: {METHODS[name]}, nis: true}}"
     scenario = load_scenario(name, [f"seed={seed}", localization, "log={every: 5 ticks, state: 1 tick}"])
     with TemporaryDirectory() as folder:
-        recorded(scenario, Path(folder) / "run")
+        run_and_record(scenario, Path(folder) / "run")
         log = open_log(Path(folder) / "run" / "run.mcap")
         off, nees, nis = central(log, scenario)
         late = slice(int(AFTER_S), None), slice(1, None)

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.scenario.loading import parse_scenario
 
 SEED = 22
@@ -112,7 +112,7 @@ def crossed(number: int, changes: Sequence[str] = ()) -> Outcome:
     """Run the crossing of a number, with changes in the words of `--set`."""
     scenario = parse_scenario(crossing(number), f"crossing-{number}.yaml", changes)
     seen = Seen()
-    result = judged(scenario, watcher=seen)
+    result = run_loaded(scenario, watcher=seen)
     if result.reason:
         raise RuntimeError(f"crossing {number}: {result.reason}")
     tumbles = sum(verdict.value for verdict in result.checks if verdict.check == "tumbled")

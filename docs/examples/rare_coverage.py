@@ -17,8 +17,8 @@ from math import comb, sqrt
 from random import Random
 from statistics import NormalDist, fmean, stdev
 
-from fleet.addons.studies.rare import Ask, Splitting, interval
 from fleet.addons.studies.row import PartRow
+from fleet.addons.studies.splitting import Ask, Splitting, interval
 
 STEPS = 60
 CASES = ((16, 100), (24, 100), (24, 40), (32, 100), (32, 40))  # height, effort

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from fleet.addon import load
 
 if TYPE_CHECKING:
-    from fleet.cli.companion import Beside as Beside
     from fleet.cli.companion import Companion as Companion
+    from fleet.cli.companion import RunCompanion as RunCompanion
     from fleet.cli.declare import command as command
     from fleet.cli.documents.output import print_result as print_result
     from fleet.cli.exporter import Exporter as Exporter
@@ -24,29 +24,29 @@ if TYPE_CHECKING:
     from fleet.mcap.other import OtherData as OtherData
     from fleet.option import Option as Option
     from fleet.scenario.faults.kind import FaultKind as FaultKind
-    from fleet.scenario.faults.kind import OfFleet as OfFleet
-    from fleet.scenario.faults.kind import OfLinks as OfLinks
-    from fleet.scenario.faults.kind import OfVehicles as OfVehicles
+    from fleet.scenario.faults.kind import FleetFaultKind as FleetFaultKind
+    from fleet.scenario.faults.kind import LinkFaultKind as LinkFaultKind
+    from fleet.scenario.faults.kind import VehicleFaultKind as VehicleFaultKind
     from fleet.scenario.scenario import Scenario as Scenario
     from fleet.terminal.width import say as say
 
 _PLACES = {
-    "Beside": "fleet.cli.companion",
     "Companion": "fleet.cli.companion",
     "Exporter": "fleet.cli.exporter",
     "FaultKind": "fleet.scenario.faults.kind",
     "FleetError": "fleet.errors",
+    "FleetFaultKind": "fleet.scenario.faults.kind",
+    "LinkFaultKind": "fleet.scenario.faults.kind",
     "Listing": "fleet.cli.listing",
     "Log": "fleet.cli.log_argument",
-    "OfFleet": "fleet.scenario.faults.kind",
-    "OfLinks": "fleet.scenario.faults.kind",
-    "OfVehicles": "fleet.scenario.faults.kind",
     "Option": "fleet.option",
     "Options": "fleet.execution.options",
     "OtherData": "fleet.mcap.other",
+    "RunCompanion": "fleet.cli.companion",
     "Scenario": "fleet.scenario.scenario",
     "Selection": "fleet.cli.exporter",
     "TIME": "fleet.cli.types",
+    "VehicleFaultKind": "fleet.scenario.faults.kind",
     "command": "fleet.cli.declare",
     "print_result": "fleet.cli.documents.output",
     "say": "fleet.terminal.width",

@@ -54,7 +54,7 @@ from fleet.analysis.linear import (
     linearise,
 )
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.graph import reached
+from fleet.scenario.sections.graph import reachable
 from world.vectors import Vec3
 
 # A vehicle that counts: its round, and of each link into it the sender's number, the weight, the delay [ticks].
@@ -212,7 +212,7 @@ class LinearFleet:
         for i, member in enumerate(self.members):
             for link in member.links:
                 hearers.setdefault(link.sender, []).append(i)
-        return [i for i in range(len(self.members)) if i in reached(hearers.get(i, ()), hearers)]
+        return [i for i in range(len(self.members)) if i in reachable(hearers.get(i, ()), hearers)]
 
     def _rounds(self, gain: float) -> list[VehicleRound]:
         """Each vehicle's own round."""

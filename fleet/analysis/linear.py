@@ -84,7 +84,7 @@ def linearise(flight: Flight) -> Linear:
     vx, vy, vz = flight.velocity
     course = atan2(vy, vx)
     v_d = (hypot(vx, vy), 0.0, vz)
-    step, s = _motion(flight, v_d, _turned(flight.current, -course))
+    step, s = _motion(flight, v_d, _turn(flight.current, -course))
     drift = np.zeros(len(s))
     drift[:3] = np.array(v_d) * flight.tick_s
     e = np.zeros(3)
@@ -181,7 +181,7 @@ def _set_state(law: Any, numbers: list[float]) -> None:
         law.x = tuple(numbers[2 * len(filters) :])
 
 
-def _turned(vector: Vec3, angle: float) -> Vec3:
+def _turn(vector: Vec3, angle: float) -> Vec3:
     """A vector [NED] turned about the vertical."""
     x, y, z = vector
     c, s = cos(angle), sin(angle)

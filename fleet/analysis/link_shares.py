@@ -21,10 +21,10 @@ def effective_loss(changing: LinkStates | LinkTrace) -> float:
 
 def link_lines(scenario: Scenario) -> list[str]:
     """A line for each selector whose links have states or a trace."""
-    return [f"links {selector}: {_words(changing)}" for selector, changing, _ in written(scenario)]
+    return [f"links {selector}: {_words(changing)}" for selector, changing, _ in changing_links(scenario)]
 
 
-def written(scenario: Scenario) -> Iterator[tuple[str, LinkStates | LinkTrace, list[Link]]]:
+def changing_links(scenario: Scenario) -> Iterator[tuple[str, LinkStates | LinkTrace, list[Link]]]:
     """Each selector of links that change by themselves, a description of the change, and these links in order."""
     by_selector: dict[str, list[Link]] = {}
     for link in scenario.changing:
@@ -35,7 +35,7 @@ def written(scenario: Scenario) -> Iterator[tuple[str, LinkStates | LinkTrace, l
 
 def short_traces(scenario: Scenario) -> Iterator[str]:
     """A sentence for each trace that ends before the run."""
-    for selector, changing, _ in written(scenario):
+    for selector, changing, _ in changing_links(scenario):
         if isinstance(changing, LinkStates) or changing.loop:
             continue
         if changing.by_packet:

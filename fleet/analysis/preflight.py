@@ -38,7 +38,12 @@ RARE = 1e-5  # probability of such a silence that does no harm (docs/guide/proto
 
 def warnings(scenario: Scenario) -> list[str]:
     """One sentence for each setting that is valid and hardly intended."""
-    found = [*check_warnings(scenario), *_idle_faults(scenario), *_correlated(scenario), *_short_queues(scenario)]
+    found = [
+        *check_warnings(scenario),
+        *_idle_faults(scenario),
+        *_correlation_warnings(scenario),
+        *_short_queues(scenario),
+    ]
     found += [*forgetting_warnings(scenario), *keep_apart_warnings(scenario)]
     found += [*short_traces(scenario), *slot_warnings(scenario)]
     if scenario.spec.log.snapshot is not None:
@@ -174,7 +179,7 @@ def _short_queues(scenario: Scenario) -> Iterator[str]:
         )
 
 
-def _correlated(scenario: Scenario) -> Iterator[str]:
+def _correlation_warnings(scenario: Scenario) -> Iterator[str]:
     given = [c for its in scenario.possible.values() for c in its]
     given += [f.condition for f in scenario.faults.network if f.condition is not None]
     found: dict[str, None] = {}

@@ -16,7 +16,7 @@ from netem.histogram import PER_DECADE
 ON_TIME, DEGRADED = "on time", "degraded"
 
 
-def measured(values: Mapping[str, Any], speed: float) -> Timing | None:
+def timing_of(values: Mapping[str, Any], speed: float) -> Timing | None:
     """The measurements of world and netem, with a label. `values`: what both answered when the run ended. `speed`:
     times real time that was asked. None: one of them did not answer.
     """
@@ -97,7 +97,9 @@ def punctual(found: Punctual, asked: PunctualCheck | None) -> Verdict:
     said += f"{_time(late.p99_ms)} (p99), {_time(late.max_ms)} (worst) after the due time; "
     said += f"taken within {_time(came.p99_ms)} (p99)"
     if found.programs:
-        node, delayed, low = max((_delayed(*item, limit_ms) for item in found.programs.items()), key=lambda row: row[2])
+        node, delayed, low = max(
+            (_delay_of(*item, limit_ms) for item in found.programs.items()), key=lambda row: row[2]
+        )
         said += f"; programs of {node} waited longer for a processor in {delayed:.2%} of the times in which they ran, "
         said += f"at least {low:.2%}"
         least = max(least, low)
@@ -105,7 +107,7 @@ def punctual(found: Punctual, asked: PunctualCheck | None) -> Verdict:
     return verdict.with_margin(asked.at_most - least, "1")
 
 
-def _delayed(node: str, waits: Spread, limit_ms: float) -> tuple[str, float, float]:
+def _delay_of(node: str, waits: Spread, limit_ms: float) -> tuple[str, float, float]:
     """A node, how much of the time its programs were delayed, and the lower end of the interval of that share."""
     share = later(waits, limit_ms)
     return node, share, wilson_low(share * waits.count, waits.count)

@@ -43,11 +43,11 @@ def lines(
             continue
         if name in free and name not in found:
             yield f"{name:{width}}  gets a free port of this host, which fleet netem tells"
-        for said in _of(node, found.get(name, ""), modems.get(name, "")):
+        for said in _address_lines(node, found.get(name, ""), modems.get(name, "")):
             yield f"{name:{width}}  {said}"
 
 
-def _of(node: Node, found: str, opened: str) -> Iterator[str]:
+def _address_lines(node: Node, found: str, opened: str) -> Iterator[str]:
     if (modem := node.modem) is not None:
         where = opened or modem.where or "a free port, which fleet netem tells"
         host = socket.gethostname() if modem.host == "0.0.0.0" else modem.host

@@ -31,7 +31,7 @@ from fleet.quantities import vehicle_names
 from fleet.recorder.connectivity import Connectivity
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.acoustic import describe_noise
-from fleet.scenario.sections.graph import reached
+from fleet.scenario.sections.graph import reachable
 from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.turns import describe_turns, greatest_age_s
 from world.vectors import Vec3
@@ -69,7 +69,7 @@ def analyse(scenario: Scenario, *, linear: bool = True, on_progress: Callable[[]
     largest = [_largest_gain(control) for control in scenario.controls]
     settled = [_settled_gain(scenario, i) for i in range(1, scenario.vehicles + 1)]
     ends = [gain for gain in settled if gain is not None]
-    unreached = _unreached(scenario)
+    unreached = _unreached_vehicles(scenario)
     at_most = at_settled = None
     not_linear = "not every vehicle is reached" if unreached else "" if linear else "not asked for"
     if not not_linear:
@@ -146,14 +146,14 @@ def _rules_of_thumb(scenario: Scenario, found: Analysis) -> list[str]:
     if decay is not None:
         product = gain * found.lambda_max
         rules.append(
-            f"  K lambda_max(L+B) < a: {_kept(product < decay)}. {gain:.4g} x {found.lambda_max:.4g} = "
+            f"  K lambda_max(L+B) < a: {_kept_word(product < decay)}. {gain:.4g} x {found.lambda_max:.4g} = "
             f"{product:.4g} 1/s, and a = {decay:g} 1/s"
         )
     age = oldest_s(scenario)
     reckoning = dead_reckoning(scenario, found, age)
     if age > 0.0 and reckoning is not None:
         rules.append(
-            f"  K tau rho(A) < 1: {_kept(reckoning < 1.0)}. {gain:.4g} 1/s x {age:.4g} s x "
+            f"  K tau rho(A) < 1: {_kept_word(reckoning < 1.0)}. {gain:.4g} 1/s x {age:.4g} s x "
             f"{found.spectral_radius_A:.4g} = {reckoning:.4g}"
         )
     return ["rules of thumb, necessary but not sufficient, for the largest K:", *rules] if rules else []
@@ -168,7 +168,7 @@ def _limits(scenario: Scenario, found: Analysis) -> list[str]:
     border = fleet.gain_border(most)
     if border == 0.0:
         return ["the linear loop is unstable at every gain"]
-    optimised = _optimised(scenario)
+    optimised = _is_optimised(scenario)
     own = f"Here K is optimised, {most:.4g} 1/s at most" if optimised else f"Here K is {most:.4g} 1/s"
     if border == inf:
         gain = f"stable at every gain. {own}"
@@ -199,7 +199,7 @@ def _delay_limit(fleet: LinearFleet, gain: float) -> str:
     return f"stable up to {(border - 1) * fleet.tick_s:.4g} s. Above, {_mode(fleet.mode(gain, border))}"
 
 
-def _kept(holds: bool) -> str:
+def _kept_word(holds: bool) -> str:
     return "kept" if holds else "BROKEN"
 
 
@@ -265,7 +265,7 @@ def _settled_gain(scenario: Scenario, i: int) -> Vec3 | None:
     return gains[0], gains[1], gains[2]
 
 
-def _optimised(scenario: Scenario) -> bool:
+def _is_optimised(scenario: Scenario) -> bool:
     return any(control.guidance_law.name == "optimal" for control in scenario.controls)
 
 
@@ -304,7 +304,7 @@ def _warnings(scenario: Scenario, found: Analysis) -> Iterator[str]:
     late = [section.id or f"f{n}" for n, section in enumerate(spec.faults, start=1) if section.at >= spec.duration]
     if late:
         yield f"fault {', '.join(late)}: the run is over before it begins"
-    connectivity = Connectivity.asked(scenario)
+    connectivity = Connectivity.from_scenario(scenario)
     if connectivity is not None and connectivity.trivial:
         yield "checks.connected always holds: its vehicles follow the reference themselves (graph.reference)"
 
@@ -316,7 +316,7 @@ def _loop_warning(scenario: Scenario, found: Analysis) -> str:
     border = fleet.gain_border(gain)
     if border == 0.0:
         return "the linear loop is unstable at every gain: the formation is not kept"
-    what = f"K settles at {_vector(found.settled)}" if _optimised(scenario) else f"K is {gain:.4g} 1/s"
+    what = f"K settles at {_vector(found.settled)}" if _is_optimised(scenario) else f"K is {gain:.4g} 1/s"
     limit = f"{border:.4g} 1/s" + (" for its largest axis" if len({*found.settled}) > 1 else "")
     return (
         f"{what}, above the limit of the linear loop. With these rounds and delays the limit is {limit}. "
@@ -352,12 +352,12 @@ def _components(scenario: Scenario) -> list[list[int]]:
     return sorted({min(part): sorted(part) for part in part_of.values()}.values())
 
 
-def _unreached(scenario: Scenario) -> list[int]:
+def _unreached_vehicles(scenario: Scenario) -> list[int]:
     vehicles = range(1, scenario.vehicles + 1)
     hearers: dict[int, list[int]] = {}
     for src, dst in scenario.graph.links:
         hearers.setdefault(src, []).append(dst)
-    told = reached((i for i in vehicles if scenario.b[i - 1] > 0.0), hearers)
+    told = reachable((i for i in vehicles if scenario.b[i - 1] > 0.0), hearers)
     return [i for i in vehicles if i not in told]
 
 

@@ -21,7 +21,7 @@ from fleet.scenario.schema.checks import (
     Standing,
     Tumbled,
 )
-from fleet.scenario.schema.programs import DONE, RUNNING, wanted
+from fleet.scenario.schema.programs import DONE, RUNNING, expected_ending
 from netem.condition import Link
 from netem.link_selector import parse_selector, select
 
@@ -38,17 +38,17 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
     for name in ("formation_error", "consensus_error"):
         below: Below | None = getattr(checks, name)
         if below is not None:
-            verdicts.append(_below(name, below, scenario, journal))
+            verdicts.append(_judge_below(name, below, scenario, journal))
     for check in checks.recovery_time or ():
         verdicts += _recovery_times(check, scenario, journal)
-    for name, judged in (("min_separation", _min_separation), ("max_age", _max_age), ("connected", _connected)):
+    for name, judged in (("min_separation", _min_separation), ("max_age", _max_age), ("connected", _judge_connected)):
         if (declared := getattr(checks, name)) is not None:
             verdicts.append(judged(declared, scenario, journal))
     # These two always apply unless they are waived. Otherwise a run with `checks: {ledger: balanced}` would pass with
     # three of four vehicles lost.
     tumbled, deaths = checks.tumbled or Tumbled(), checks.deaths or Standing()
     if not tumbled.waived and not scenario.nodes:
-        verdicts.append(_tumbled(tumbled, scenario, journal))
+        verdicts.append(_judge_tumbled(tumbled, scenario, journal))
     if not deaths.waived and not scenario.nodes:
         verdicts.append(_deaths(deaths, scenario, journal))
     if scenario.spec.names is not None:
@@ -64,9 +64,9 @@ def judge(scenario: Scenario, journal: Journal, middleware_lost: int) -> list[Ve
         found = f"{sum(failures.values())}{who}"
         verdicts.append(Verdict("qp_infeasible", True, "reported", found, sum(failures.values()), None, "times"))
     if checks.ledger is not None:
-        unbalanced = journal.ledger.unbalanced()
+        unbalanced = journal.ledger.unbalanced_links()
         found = ", ".join(f"{scenario.link_name(link)} off by {n}" for link, n in unbalanced.items()) or "balanced"
-        verdicts.append(_counted("ledger", len(unbalanced), 0, "links", "balanced", found))
+        verdicts.append(_judge_count("ledger", len(unbalanced), 0, "links", "balanced", found))
     if checks.middleware_loss is not None:
         verdicts.append(_at_most("middleware_loss", checks.middleware_loss, middleware_lost))
     if journal.checks is not None:
@@ -91,12 +91,12 @@ def standing(scenario: Scenario, journal: Journal) -> list[dict[str, Any]]:
     return rows
 
 
-def _below(name: str, check: Below, scenario: Scenario, journal: Journal) -> Verdict:
+def _judge_below(name: str, check: Below, scenario: Scenario, journal: Journal) -> Verdict:
     after_s = check.after / 1e9
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
     what = "formation" if name == "formation_error" else "e"
     value, vehicle, at_s = journal.metrics.worst(what, after_s, who)
-    asked = f"below {check.below:g} m after {after_s:g} s{_of(check.vehicles)}"
+    asked = f"below {check.below:g} m after {after_s:g} s{_of_vehicles(check.vehicles)}"
     if vehicle == 0:
         found = f"the run ended at {at_s:g} s, before the check begins"
         return Verdict(name, False, asked, found, None, check.below, "m", judged=False)
@@ -139,7 +139,7 @@ def _recovery_times(check: Recovery, scenario: Scenario, journal: Journal) -> li
 def _asked_recovery(check: Recovery) -> str:
     return (
         f"{check.error} error within {check.within:g} m, less than {check.below / 1e9:g} s after "
-        f"{'every fault' if check.fault == EVERY else f'fault {check.fault}'}{_of(check.vehicles)}"
+        f"{'every fault' if check.fault == EVERY else f'fault {check.fault}'}{_of_vehicles(check.vehicles)}"
     )
 
 
@@ -177,7 +177,7 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
     what = "formation" if check.error == "formation" else "e"
     margin_m = _nearest_recovery(check, what, (span[0] * tick_s, span[1] * tick_s), journal)
-    at_s, vehicle, off_m, least_s = journal.metrics.settled(what, span, check.within, who)
+    at_s, vehicle, off_m, least_s = journal.metrics.find_settled(what, span, check.within, who)
     if at_s is None and disturbed is None and not journal.complete and (journal.written - end) * tick_ns < check.below:
         return _no_recovery(check, "there is still time")
     if vehicle == 0:
@@ -195,7 +195,7 @@ def _recovery_time(check: Recovery, scenario: Scenario, journal: Journal) -> Ver
 
 
 def _min_separation(check: MinSeparation, scenario: Scenario, journal: Journal) -> Verdict:
-    asked = f"above {check.above:g} m after {check.after / 1e9:g} s{_of(check.vehicles)}"
+    asked = f"above {check.above:g} m after {check.after / 1e9:g} s{_of_vehicles(check.vehicles)}"
     if scenario.vehicles < 2:
         return Verdict("min_separation", True, asked, "one vehicle", None, check.above, "m")
     least = None if journal.separation is None else journal.separation.least
@@ -242,8 +242,8 @@ def _oldest(journal: Journal, after: int, links: list[Link]) -> tuple[int, Link,
     return oldest
 
 
-def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdict:
-    asked = f"in every window of {check.window / 1e9:g} s after {check.after / 1e9:g} s{_of(check.vehicles)}"
+def _judge_connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdict:
+    asked = f"in every window of {check.window / 1e9:g} s after {check.after / 1e9:g} s{_of_vehicles(check.vehicles)}"
     found = journal.connectivity
     if found is not None and not journal.complete:
         found = found.so_far(journal.written + 1)
@@ -265,7 +265,7 @@ def _connected(check: Connected, scenario: Scenario, journal: Journal) -> Verdic
     return verdict.with_margin(-found.ticks, "windows", begin * tick_s)
 
 
-def _of(vehicles: str | None) -> str:
+def _of_vehicles(vehicles: str | None) -> str:
     return "" if vehicles is None else f", vehicles {vehicles}"
 
 
@@ -277,7 +277,7 @@ def _ended(scenario: Scenario, before: str) -> str:
     )
 
 
-def _tumbled(check: Tumbled, scenario: Scenario, journal: Journal) -> Verdict:
+def _judge_tumbled(check: Tumbled, scenario: Scenario, journal: Journal) -> Verdict:
     who = None if check.vehicles is None else vehicle_numbers(check.vehicles)
     spells = [spell for spell in journal.tumbles if who is None or spell.vehicle in who]
     tick_s = scenario.tick_ns / 1e9
@@ -288,8 +288,8 @@ def _tumbled(check: Tumbled, scenario: Scenario, journal: Journal) -> Verdict:
         found = f"{len(spells)}, {vehicle_names(vehicles)}, first vehicle {first.vehicle} at {first.begin * tick_s:g} s"
         if lasting := sorted({spell.vehicle for spell in spells if spell.end is None}):
             found += f", to the end {vehicle_names(lasting)}"
-    asked = f"at most {check.at_most}{_of(check.vehicles)}"
-    return _counted("tumbled", len(spells), check.at_most, "times", asked, found)
+    asked = f"at most {check.at_most}{_of_vehicles(check.vehicles)}"
+    return _judge_count("tumbled", len(spells), check.at_most, "times", asked, found)
 
 
 def _deaths(check: Standing, scenario: Scenario, journal: Journal) -> Verdict:
@@ -297,7 +297,7 @@ def _deaths(check: Standing, scenario: Scenario, journal: Journal) -> Verdict:
     died = len(journal.died)
     found = ", ".join([str(died), *(f"{e.what} at {e.tick * tick_s:g} s" for e in journal.died[:4])])
     asked = f"at most {check.at_most} that no fault asked for"
-    return _counted("deaths", died, check.at_most, "times", asked, found)
+    return _judge_count("deaths", died, check.at_most, "times", asked, found)
 
 
 def _programs(scenario: Scenario, journal: Journal) -> Verdict:
@@ -318,7 +318,7 @@ def _programs_of_nodes(scenario: Scenario, journal: Journal) -> Verdict:
     bad: list[tuple[int, int, str]] = []  # when [ns], whose, and in words
     failed = {one.vehicle: one for one in reversed(failures.first)}
     for i, name in enumerate(scenario.spec.names or (), start=1):
-        want, ended = wanted(asked, name, name), failures.ended.get(i)
+        want, ended = expected_ending(asked, name, name), failures.ended.get(i)
         if (one := failed.get(i)) is not None:
             bad.append((one.at_ns, i, f"{name} {one.words}"))
         elif want == DONE and ended is None:
@@ -362,8 +362,8 @@ def judge_expected(scenario: Scenario, verdicts: list[Verdict]) -> Verdict | Non
 
 def _at_most(name: str, check: AtMost, found: int) -> Verdict:
     unit = "messages" if name == "middleware_loss" else "times"
-    return _counted(name, found, check.at_most, unit, f"at most {check.at_most}", str(found))
+    return _judge_count(name, found, check.at_most, unit, f"at most {check.at_most}", str(found))
 
 
-def _counted(name: str, count: int, at_most: int, unit: str, asked: str, found: str) -> Verdict:
+def _judge_count(name: str, count: int, at_most: int, unit: str, asked: str, found: str) -> Verdict:
     return Verdict(name, count <= at_most, asked, found, count, at_most, unit).with_margin(at_most - count, unit)

@@ -21,7 +21,7 @@ from fleet.logs.payload_kinds import STATE, kind_of
 from fleet.result.verdict import LastMessage, Moment, Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.fault_entry import DIVERGED, entry_kind, entry_vehicles, words_of
-from fleet.scenario.sections.node_names import named
+from fleet.scenario.sections.node_names import to_names
 from fleet.scenario.sections.node_signals import node_signals
 from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, VehicleSignals
@@ -38,10 +38,10 @@ class OwnChecks:
     """The checks of one run that are the user's own."""
 
     def __init__(self, scenario: Scenario, begin: int = 0, budget_s: float | None = None) -> None:
-        """Make them; see `asked`."""
+        """Make them; see `from_scenario`."""
         checks = scenario.spec.checks
         self._scenario, self._tick_s, self._last = scenario, scenario.tick_ns / 1e9, scenario.ticks
-        self._places = {i: reported(scenario, i).places() for i in range(1, scenario.vehicles + 1)}
+        self._places = {i: logged_signals(scenario, i).places() for i in range(1, scenario.vehicles + 1)}
         self._messages = LastMessages(scenario.graph.links, scenario.tick_ns)
         self._signals: list[RunningSignalCheck] = []
         self._python: list[RunningPythonCheck] = []
@@ -61,7 +61,7 @@ class OwnChecks:
         self._now = begin
 
     @classmethod
-    def asked(cls, scenario: Scenario, begin: int = 0, budget_s: float | None = None) -> OwnChecks | None:
+    def from_scenario(cls, scenario: Scenario, begin: int = 0, budget_s: float | None = None) -> OwnChecks | None:
         """The checks that a scenario asks for; None: it has none. Samples before `begin` do not count. `budget_s`: of a
         call of a check in Python; 0: any; None: `BUDGET_S`. Raises SignalCheckError if no vehicle has the signal of a
         check; CheckError if a check in Python cannot be made.
@@ -126,8 +126,8 @@ class OwnChecks:
         names = self._scenario.names
         if not names:
             return text
-        text = re.sub(r"\bvehicles? (\d+(?:(?:, | and )\d+)*)", lambda found: named(found[1], names), text)
-        return re.sub(r"\b\d+->\d+\b", lambda found: named(found[0], names), text)
+        text = re.sub(r"\bvehicles? (\d+(?:(?:, | and )\d+)*)", lambda found: to_names(found[1], names), text)
+        return re.sub(r"\b\d+->\d+\b", lambda found: to_names(found[0], names), text)
 
     def _judge(self) -> None:
         values, self._pending = self._pending, None
@@ -169,7 +169,7 @@ def due_groups(scenario: Scenario, tick: int) -> frozenset[str]:
     return frozenset(group for group in GROUPS if group in every and (last or tick % every[group] == 0))
 
 
-def reported(scenario: Scenario, i: int) -> VehicleSignals:
+def logged_signals(scenario: Scenario, i: int) -> VehicleSignals:
     """The signals of vehicle i in a log; of laws and plants that may not run they are unknown here."""
     if scenario.nodes:
         return node_signals(scenario.spec, i)

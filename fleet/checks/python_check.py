@@ -18,7 +18,7 @@ from fleet.scenario.sections.signals import SignalPlace
 from netem.parsing import nearest
 from netem.wire.messages import Fate
 from world.errors import PluginError
-from world.plugins.fence import Fence, shown
+from world.plugins.fence import Fence, show_value
 
 BUDGET_S = 5.0  # wall time that one call may take
 PATIENCE = 12  # times that, if it hardly computes: a suspended process or a busy machine breaks no check
@@ -184,22 +184,24 @@ class RunningPythonCheck:
             return Margin(value, unit, None if at is None else float(at))
         except Exception:  # whatever the user's objects raise when they are asked
             expected = "None or a fleet.checks.api.Margin"
-            raise self._fence.wrong(tick, method, f"returned {shown(answer)}: expected {expected}") from None
+            raise self._fence.wrong(tick, method, f"returned {show_value(answer)}: expected {expected}") from None
 
     def _checked(self, tick: int, method: Any, answer: Any) -> Failure | None:
         if answer is None:
             return None
         if not isinstance(answer, Failure):
             expected = "None or a fleet.checks.api.Failure"
-            raise self._fence.wrong(tick, method, f"returned {shown(answer)}: expected {expected}")
+            raise self._fence.wrong(tick, method, f"returned {show_value(answer)}: expected {expected}")
         message, vehicles, values = answer
         if not isinstance(message, str):
-            raise self._fence.wrong(tick, method, f"returned a Failure with message {shown(message)}: expected a text")
+            raise self._fence.wrong(
+                tick, method, f"returned a Failure with message {show_value(message)}: expected a text"
+            )
         try:
             numbers = tuple(int(i) for i in vehicles)[:_MOST_VALUES]
             found = {str(name): float(value) for name, value in list(values.items())[:_MOST_VALUES]}
         except Exception:  # whatever the user's objects raise when they are asked
-            text = f"returned a Failure with vehicles {shown(vehicles)} and values {shown(values)}"
+            text = f"returned a Failure with vehicles {show_value(vehicles)} and values {show_value(values)}"
             raise self._fence.wrong(tick, method, f"{text}: expected numbers, and numbers by name") from None
         if strangers := [i for i in numbers if not 1 <= i <= self._vehicles]:
             raise self._fence.wrong(tick, method, f"returned a Failure of vehicle {strangers[0]}: there is none")
@@ -212,7 +214,7 @@ def _broken(error: CheckError) -> Failure:
 
 
 def _short(parameter: Any) -> str:
-    text = shown(parameter).strip("'")
+    text = show_value(parameter).strip("'")
     return text if len(text) <= _MOST_PARAMETER else f"{text[:_MOST_PARAMETER]}..."
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from fleet.checks.api import Facts, Fault, Tick
 from fleet.scenario.faults.kind import Part, Surroundings
 from fleet.scenario.sections.fault_entry import fault_of
-from fleet.scenario.sections.graph import reached
+from fleet.scenario.sections.graph import reachable
 from fleet.scenario.text.fault_words import entry_of_words
 from netem.faults import NetFault, active_faults
 from netem.wire.messages import TimedFault, WorldFault
@@ -64,7 +64,7 @@ class ReachableGroups:
         for source, target in sorted(links):
             if source in heard_by and target in heard_by:
                 heard_by[source].append(target)
-        hearers = {i: reached([i], heard_by) for i in there}
+        hearers = {i: reachable([i], heard_by) for i in there}
         groups = {tuple(j for j in there if j in hearers[i] and i in hearers[j]) for i in there}
         return tuple(sorted(groups))
 

@@ -83,7 +83,7 @@ class RunningSignalCheck:
         there = [(i, value) for i, value in found if value is not None]
         judge = self._safety or self._liveness
         assert judge is not None
-        each = [((i,), value) for i, value in numbers] if numbers is not None else [_joined(self._asked, there)]
+        each = [((i,), value) for i, value in numbers] if numbers is not None else [_join_vehicles(self._asked, there)]
         units = judge.step(tick, each)
         if units is None:
             return None
@@ -97,7 +97,7 @@ class RunningSignalCheck:
         """
         judge = self._safety or self._liveness
         assert judge is not None
-        passed, found, value, limit, unit = judge.found(now, over=over)
+        passed, found, value, limit, unit = judge.result(now, over=over)
         if self._asked.sometimes:
             words = judge.failure or found
             return Verdict(self.name, True, self.words, words, None, limit, unit, None, self.signals).of_sometimes(
@@ -119,7 +119,7 @@ class RunningSignalCheck:
         return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
 
 
-def _joined(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[Unit, float | None]:
+def _join_vehicles(asked: AskedOfSignal, there: Sequence[tuple[int, float]]) -> tuple[Unit, float | None]:
     """The number of the fleet, and the vehicles that make it."""
     if silent := tuple(i for i, value in there if isnan(value)):
         return silent, nan
@@ -199,7 +199,7 @@ class _Safety:
             return "none came" if over else ""
         return f"one came by {self._s(max(late))} s"
 
-    def found(self, now: int, *, over: bool) -> _Found:
+    def result(self, now: int, *, over: bool) -> _Found:
         asked, worst = self._asked, self._worst
         unit = "" if asked.unit == "1" else asked.unit
         limit = asked.condition.limit
@@ -230,7 +230,7 @@ class _Safety:
     def margin(self) -> Margin | None:
         if self._worst is None:
             return None
-        return self._margin.found(*((None, None) if self._longest is None else (self._longest[0], self._longest[2])))
+        return self._margin.margin(*((None, None) if self._longest is None else (self._longest[0], self._longest[2])))
 
     def _badness(self, value: float) -> float:
         condition = self._asked.condition
@@ -338,8 +338,8 @@ class _Liveness:
     def margin(self) -> Margin | None:
         asked = self._asked
         assert asked.within_ns is not None
-        if not in_time(asked):
-            return self._distance.found(counts=self._begin is None)
+        if not is_timed(asked):
+            return self._distance.margin(counts=self._begin is None)
         if self.failure:
             return Margin(-self._late_ns / 1e9, "s", None)
         if self._slowest is None:
@@ -350,7 +350,7 @@ class _Liveness:
         at = f"{begin * self._tick_ns / 1e9:g} s"
         return f"the end of fault {self._whose} at {at}" if self._whose else at
 
-    def found(self, now: int, *, over: bool) -> _Found:
+    def result(self, now: int, *, over: bool) -> _Found:
         asked = self._asked
         assert asked.within_ns is not None
         limit = asked.within_ns / 1e9
@@ -376,7 +376,7 @@ def inside(condition: SignalCondition, value: float) -> float:
     return min(value - condition.low, condition.high - value)
 
 
-def in_time(asked: AskedOfSignal) -> bool:
+def is_timed(asked: AskedOfSignal) -> bool:
     condition = asked.condition
     timed = asked.within_ns is not None or asked.least_ns > 0
     return timed and (condition.over == "true" or condition.low == condition.high)
@@ -422,10 +422,10 @@ class AlwaysMargin:
             best.popleft()
         return best[0][1] if self._since.setdefault(key, tick) <= first else None
 
-    def found(self, longest: float | None, at: int | None) -> Margin | None:
+    def margin(self, longest: float | None, at: int | None) -> Margin | None:
         """The margin so far, of the longest stretch of bad samples [ticks], which began at tick `at`."""
         asked = self._asked
-        if in_time(asked):
+        if is_timed(asked):
             took = (longest or 0) * self._tick_s
             return Margin(asked.least_ns / 1e9 - took, "s", None if at is None else at * self._tick_s)
         if self._least is None or abs(self._least[0]) == inf:
@@ -481,7 +481,7 @@ class EventuallyMargin:
             waits.append(min(self._best.values()))
         return min(waits, default=None)
 
-    def found(self, *, counts: bool) -> Margin | None:
+    def margin(self, *, counts: bool) -> Margin | None:
         """The least margin of all waits with a verdict; `counts`: the wait that goes on has one, too."""
         least = self._so_far(counts)
         return None if least is None else Margin(least[0], _unit(self._asked), least[1] * self._tick_s)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isnan
 
-from fleet.checks.own_checks import due_groups, reported
+from fleet.checks.own_checks import due_groups, logged_signals
 from fleet.checks.values import TickValues
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection, TriggerSection
@@ -44,7 +44,7 @@ class Triggers:
         spec = self._spec = scenario.spec
         self._scenario, self._tick_ns = scenario, scenario.tick_ns
         self._places: dict[int, Mapping[str, SignalPlace]] = {
-            i: reported(scenario, i).places() for i in range(1, scenario.vehicles + 1)
+            i: logged_signals(scenario, i).places() for i in range(1, scenario.vehicles + 1)
         }
         self._waiting = [
             _Waiting(trigger, trigger_name(trigger, number), ask_moment(trigger.when, self._places), trigger.nth)

@@ -18,7 +18,7 @@ import click
 import psutil
 
 import fleet
-from fleet.addon import PLACES, installed, parts
+from fleet.addon import PLACES, installed_addons, parts
 from fleet.cli.completion import RUNS
 from fleet.cli.declare import command
 from fleet.cores import cores_and_reason, processor
@@ -102,7 +102,7 @@ def _packages() -> Iterator[tuple[str, str]]:
             missing.append(name)
     yield "packages", ", ".join(text for text in found if not text.startswith("uuv-fleet "))
     yield "not installed", ", ".join(missing) or "none"
-    addons = installed()
+    addons = installed_addons()
     for kind in PLACES:
         parts(kind)
     yield "add-ons", ", ".join(addons.addons) or "none"

@@ -77,9 +77,9 @@ def check(
             told = [*found.warnings, *warnings(loaded)]
             lines = [] if json_is_asked() else report(loaded, found)
     if json_is_asked():
-        from fleet.cli.documents.logs import checked
+        from fleet.cli.documents.logs import check_document
 
-        print_document(checked(loaded, found, told, refused))
+        print_document(check_document(loaded, found, told, refused))
     elif loaded.nodes:
         say("\n".join(lines))
     else:
@@ -97,13 +97,13 @@ def is_log(name: str) -> bool:
 
 def _check_log(log: Path, overrides: tuple[str, ...]) -> NoReturn:
     from fleet.repeat.check_log import check_log
-    from fleet.result.verdict import failed_first
+    from fleet.result.verdict import sort_failed_first
 
     with showing(f"reading {log}") as reading:
         found = check_log(log, overrides, reading)
     lines = [
         f"{verdict.mark}  {verdict.check}: {verdict.asked}; found {verdict.words}"
-        for verdict in failed_first(found.verdicts)
+        for verdict in sort_failed_first(found.verdicts)
     ]
     missing = f", as far as the file goes: {found.missing}" if found.missing else ""
     print_result(found, *lines, f"judged up to t = {found.until_s:g} s of {found.end_s:g} s{missing}")

@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from fleet.scenario.scenario import Scenario
 
 
-class Beside:
-    """What goes on beside one run. A companion that has nothing to do at a moment inherits it from here."""
+class RunCompanion:
+    """A companion of one run, which is told of its moments. What it does not define does nothing."""
 
-    def published(self, directory: Path) -> None:
+    def on_run_published(self, directory: Path) -> None:
         """The journal of the run can be read. A run that is not published has none: `prepare` may set `publish`.
 
         Args:
             directory: the directory of the run.
         """
 
-    def over(self, directory: Path) -> None:
+    def on_run_ended(self, directory: Path) -> None:
         """The run is over, and its directory is whole.
 
         Args:
@@ -55,7 +55,7 @@ class Companion(Extension):
         return how
 
     @contextmanager
-    def beside(self, how: Options) -> Iterator[Beside]:
+    def start(self, how: Options) -> Iterator[RunCompanion]:
         """What lasts as long as the run, and a little longer, if one of the options was given.
 
         Args:
@@ -64,7 +64,7 @@ class Companion(Extension):
         Yields:
             What is told when the journal can be read, and when the run is over.
         """
-        yield Beside()
+        yield RunCompanion()
 
 
 Companions = Annotated[Sequence[Companion], FromAddOns("companions")]

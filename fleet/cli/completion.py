@@ -30,12 +30,12 @@ def _words(find: Callable[[click.Context], Iterable[str]]) -> Words:
             words = list(find(context))
         except Exception:
             return []
-        return [CompletionItem(for_the_shell(word)) for word in words if word.startswith(typed)]
+        return [CompletionItem(quote_for_shell(word)) for word in words if word.startswith(typed)]
 
     return complete
 
 
-def for_the_shell(word: str) -> str:
+def quote_for_shell(word: str) -> str:
     """A word as the shell must get it."""
     # zsh and fish quote a word themselves. bash does not, and needs no quotes after an opened quote.
     current = os.environ.get("COMP_WORDS", "").rsplit(None, 1)[-1:]
@@ -69,10 +69,10 @@ def runs(context: click.Context) -> Iterable[str]:
 @_words
 def published_runs(context: click.Context) -> Iterable[str]:
     """Names of live runs that are published."""
-    from fleet.execution.connection import published
+    from fleet.execution.connection import published_runs
     from fleet.execution.directory import OBSERVE
 
-    return [directory.name for directory in published(OBSERVE)]
+    return [directory.name for directory in published_runs(OBSERVE)]
 
 
 @_words
@@ -98,7 +98,7 @@ def clock(context: click.Context) -> Iterable[str]:
 @_words
 def injection(context: click.Context) -> Iterable[str]:
     """The next words in `fleet inject`."""
-    from fleet.scenario.faults.kind import OfFleet, OfLinks
+    from fleet.scenario.faults.kind import FleetFaultKind, LinkFaultKind
     from fleet.scenario.faults.kinds import KINDS
     from fleet.scenario.faults.of_links import PartitionFault
 
@@ -114,7 +114,7 @@ def injection(context: click.Context) -> Iterable[str]:
         return _CONDITIONS if kind.name == "link" else ()
     vehicles, links = _targets(_run(context, *named))
     match kind:
-        case OfLinks():
+        case LinkFaultKind():
             both = [f"{a}<->{b}" for a, b in links if a < b and (b, a) in links]
             return ["*", *(f"{a}->{b}" for a, b in links), *both]
         case PartitionFault():
@@ -122,7 +122,7 @@ def injection(context: click.Context) -> Iterable[str]:
 
             isolated = [f"isolate:{i}" for i in range(1, vehicles + 1)]
             return [*NAMED_PARTITIONS[:-1], *isolated]
-        case OfFleet():
+        case FleetFaultKind():
             return ()
     return [str(i) for i in range(1, vehicles + 1)]
 

@@ -13,7 +13,8 @@ A parameter with `FromAddOns` takes what add-ons bring to a command (`Extension`
 
     companions: Annotated[tuple[Companion, ...], FromAddOns("companions")]
 
-A class of fields may name a module, `READER`, that reads their texts: `read(field, value)` and `by_key(field, texts)`.
+A class of fields may name a module, `READER`, that reads their texts: `read(field, value)` and `texts_by_key(field,
+texts)`.
 
 Parameters are read as typer does it, and fields of dataclasses and structs as tyro does it. These libraries were
 rejected: they import for longer than `fleet --help` takes (CPU, import and `--help` of one command: click 36 and 50 ms,
@@ -37,7 +38,7 @@ from fleet.addon import leave_out, sound_parts
 from fleet.cli.documents.output import JSON
 from fleet.cli.types import PACE, PATH, SECONDS, SHARE, SPEED, TIME, Effect, Fallback, Whole, is_given
 from fleet.errors import FleetError
-from fleet.option import NEEDED, Kind, OptionField, declared, fields, holds_fields, unwrapped
+from fleet.option import NEEDED, Kind, OptionField, fields, holds_fields, option_from_annotation, unwrap
 
 if TYPE_CHECKING:
     import msgspec
@@ -104,7 +105,7 @@ class _Taken(NamedTuple):
 
     def value(self, given: Mapping[str, Any]) -> Mapping[str, Any]:
         """The parameter, from all that was given; nothing: its default holds."""
-        found = {each.name: _built(each, given[each.name]) for each in self.fields if each.name in given}
+        found = {each.name: _build(each, given[each.name]) for each in self.fields if each.name in given}
         if self.struct is not None:
             return {self.name: self.struct(**found)}
         fallback = _first(self.fields[0], Fallback)
@@ -134,14 +135,14 @@ def command(
         taken: list[_Taken | _Extended] = []
         shown: list[click.Parameter] = []
         parameters = signature(function, eval_str=True).parameters.values()
-        own = {each: None if _from_add_ons(each) else _taken(each) for each in parameters}
+        own = {each: None if _from_add_ons(each) else _taken_parameter(each) for each in parameters}
         flags = {"--json", "--help", "-h"} | {
             word for one in own.values() if one is not None for field in one.fields for word in _words(field)
         }
         for each, one in own.items():
             is_option = each.kind is Parameter.KEYWORD_ONLY
             if one is None:
-                extended = _extended(each, name or function.__name__, flags)
+                extended = _extend(each, name or function.__name__, flags)
                 taken.append(extended)
                 shown += map(_option, extended.fields)
                 continue
@@ -194,7 +195,7 @@ def _words(field: OptionField) -> set[str]:
 
 
 def _from_add_ons(parameter: Parameter) -> FromAddOns | None:
-    return next((each for each in unwrapped(parameter.annotation)[1] if isinstance(each, FromAddOns)), None)
+    return next((each for each in unwrap(parameter.annotation)[1] if isinstance(each, FromAddOns)), None)
 
 
 def _parameters_of(kind: type[Extension]) -> list[click.Option]:
@@ -203,7 +204,7 @@ def _parameters_of(kind: type[Extension]) -> list[click.Option]:
     return [_option(field) for field in fields(kind.options_type).values()]
 
 
-def _extended(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
+def _extend(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
     """The extensions of a command. One with an option that is there already is left out, and hurts no other."""
     asked, found = _from_add_ons(parameter), []
     assert asked is not None
@@ -219,12 +220,12 @@ def _extended(parameter: Parameter, command: str, taken: set[str]) -> _Extended:
     return _Extended(parameter.name, tuple(found))
 
 
-def _taken(parameter: Parameter) -> _Taken:
+def _taken_parameter(parameter: Parameter) -> _Taken:
     kind = parameter.annotation
     if holds_fields(kind):
         return _Taken(parameter.name, tuple(fields(kind).values()), kind)
     default = NEEDED if parameter.default is Parameter.empty else parameter.default
-    return _Taken(parameter.name, (declared(parameter.name, kind, default),), None)
+    return _Taken(parameter.name, (option_from_annotation(parameter.name, kind, default),), None)
 
 
 def _argument(field: OptionField) -> click.Argument:
@@ -298,7 +299,7 @@ def _type(field: OptionField) -> click.ParamType[Any]:
     if field.shape is dict:
         return click.STRING
     if field.shape in (list, tuple):
-        item = declared(field.name, field.item)
+        item = option_from_annotation(field.name, field.item)
         return _type(item) if field.kind is Kind.TEXT else _Checked(field)
     if field.shape is Literal:
         return click.Choice(field.words)
@@ -335,10 +336,10 @@ class _Checked(click.ParamType[str]):
             self.fail(str(error), param, ctx)
 
 
-def _built(field: OptionField, value: Any) -> Any:
+def _build(field: OptionField, value: Any) -> Any:
     """A value as the field holds it. Raises FleetError: the reader of its field does not take a text."""
     if field.shape is dict:
-        return import_module(field.reader).by_key(field, value)
+        return import_module(field.reader).texts_by_key(field, value)
     return list(value) if field.shape is list else value
 
 

@@ -17,10 +17,10 @@ from typing import Any
 
 import click
 
-from fleet.addon import Verb, installed, load
+from fleet.addon import Verb, installed_addons, load
 from fleet.cli.documents.output import json_is_asked, print_document
 from fleet.cli.verbs import every_verb, headings, hint_for, other_option, verb_of
-from fleet.errors import FleetError, harmless, in_words
+from fleet.errors import FleetError, describe_error, harmless
 from fleet.terminal.output import OutputError
 from fleet.terminal.width import say
 from netem.errors import NetemError
@@ -86,7 +86,7 @@ class FleetGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name; None: there is none."""
         verb = verb_of(cmd_name)
-        return super().get_command(ctx, cmd_name) if verb is None else _loaded(cmd_name, verb)
+        return super().get_command(ctx, cmd_name) if verb is None else _load(cmd_name, verb)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """The command that was typed; for one of another tool the error names ours. Raises UsageError."""
@@ -119,7 +119,7 @@ class FleetGroup(click.Group):
             return super().invoke(ctx)
         except click.ClickException as error:  # click prints it
             # `message` is final for those who inherit from it.
-            error.message = harmless(error.message + _meant(error))  # type: ignore[misc]
+            error.message = harmless(error.message + _hint(error))  # type: ignore[misc]
             _document(error, error.format_message(), error.exit_code)
             raise
         except (FleetError, NetemError, OSError, UnicodeEncodeError) as error:
@@ -130,13 +130,13 @@ class FleetGroup(click.Group):
             raise  # they have meanings of their own
         except Exception as error:
             traceback.print_exc()
-            words = f"{in_words(error)}: {_whose(ctx.invoked_subcommand or '')}"
+            words = f"{describe_error(error)}: {_who_mends(ctx.invoked_subcommand or '')}"
             say(f"fleet: {words}", err=True)
             _document(error, words, BROKEN)
             ctx.exit(BROKEN)  # Python's own 1 would say that a check failed
 
 
-def _whose(name: str) -> str:
+def _who_mends(name: str) -> str:
     """Who has to mend what a command does by mistake."""
     verb = verb_of(name)
     package = "fleet" if verb is None else verb.command.partition(":")[0].partition(".")[0]
@@ -145,14 +145,14 @@ def _whose(name: str) -> str:
     return "a mistake of ours; please report the lines above, and what fleet about prints"
 
 
-def _meant(error: click.ClickException) -> str:
+def _hint(error: click.ClickException) -> str:
     """A hint at what the user probably meant; empty: there is none."""
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is None:
         return ""
     if isinstance(error, click.NoSuchOption):
         other = other_option(context.info_name or "", error.option_name)
-        if other or installed().left_out:
+        if other or installed_addons().left_out:
             error.possibilities = []  # type: ignore[misc]
         return f" {other}" if other else _left_out()
     change = _CHANGE.search(error.message)
@@ -163,14 +163,14 @@ def _meant(error: click.ClickException) -> str:
 
 def command_of(name: str) -> click.Command:
     """The command of a name that `every_verb` has."""
-    return _loaded(name, every_verb()[name])
+    return _load(name, every_verb()[name])
 
 
-def _loaded(name: str, verb: Verb) -> click.Command:
+def _load(name: str, verb: Verb) -> click.Command:
     try:
         found = load(verb.command)
     except (Exception, SystemExit) as error:
-        raise FleetError(f"fleet {name} cannot be loaded: {verb.command}: {in_words(error)}") from error
+        raise FleetError(f"fleet {name} cannot be loaded: {verb.command}: {describe_error(error)}") from error
     if not isinstance(found, click.Command):
         raise FleetError(f"the add-on that brings fleet {name} gives {found!r:.80} in place of a click command")
     return found
@@ -178,7 +178,7 @@ def _loaded(name: str, verb: Verb) -> click.Command:
 
 def _left_out() -> str:
     """The add-ons that this environment has and that cannot be used, with the reason of the first."""
-    found = installed()
+    found = installed_addons()
     if found.left_out:
         return f"\nadd-ons that are left out: {', '.join(found.left_out)} ({next(iter(found.left_out.values()))})"
     hint = "\nno add-on is registered in this environment; in a checkout `pip install -e .` registers ours"

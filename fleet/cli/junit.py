@@ -39,7 +39,7 @@ class JUnitCase:
     wall_s: float = 0.0
 
 
-def of_run(result: Result, command: str) -> list[JUnitCase]:
+def run_cases(result: Result, command: str) -> list[JUnitCase]:
     """A case for each check, and one for a run that did not come to its end. They share the wall time of the run.
 
     Args:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import msgspec
 
 from fleet.addon import leave_out, sound_parts
-from fleet.errors import in_words
+from fleet.errors import describe_error
 from fleet.scenario.catalogue import ListedScenario
 
 
@@ -55,7 +55,7 @@ def _try(kind: type[Listing]) -> None:
     msgspec.json.schema(msgspec.defstruct("Trial", [(made.key, list[made.row])]))  # type: ignore[name-defined]
 
 
-def filled() -> dict[Listing, list[tuple[Any, Sequence[str]]]]:
+def fill_listings() -> dict[Listing, list[tuple[Any, Sequence[str]]]]:
     """The rows of each table, as the struct and as they are printed. A table that fails is left out."""
     found: dict[Listing, list[tuple[Any, Sequence[str]]]] = {}
     for each in listings():
@@ -64,7 +64,7 @@ def filled() -> dict[Listing, list[tuple[Any, Sequence[str]]]]:
             if any(len(cells) != len(each.headings) for _, cells in rows):
                 raise ValueError(f"a row has not as many cells as there are headings ({len(each.headings)})")
         except Exception as error:
-            leave_out(f"{type(each).__module__}.listings", f"{type(each).__name__}: {in_words(error)}")
+            leave_out(f"{type(each).__module__}.listings", f"{type(each).__name__}: {describe_error(error)}")
             rows = []
         found[each] = rows
     return found
@@ -79,7 +79,7 @@ def document() -> type[msgspec.Struct]:
     return made
 
 
-def listed(scenarios: Sequence[ListedScenario], others: Mapping[str, Sequence[Any]]) -> msgspec.Struct:
+def listing_document(scenarios: Sequence[ListedScenario], others: Mapping[str, Sequence[Any]]) -> msgspec.Struct:
     """What `--json` prints."""
     return document()(scenarios=scenarios, **others)
 

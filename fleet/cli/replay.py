@@ -52,11 +52,11 @@ def replay(
     if options.step and not Keyboard.possible():
         raise click.UsageError("--step needs a terminal, because a key press continues it")
     with showing(f"reading {log}", quiet=quiet) as on_progress:
-        tape = SeekableLog(log_path(log), on_progress)
-    played = Replay(tape, options)
+        seekable = SeekableLog(log_path(log), on_progress)
+    played = Replay(seekable, options)
     with exit_status(3), ending() as sessions, StatusLine(quiet=quiet) as line:
-        if tape.missing:
-            line.print(f"warning: {log}: {tape.missing}")
+        if seekable.missing:
+            line.print(f"warning: {log}: {seekable.missing}")
         if played.no_keys:
             line.print(f"warning: topics that are left out, being {played.left_out}")
         bus = open_session(connect, listen, None)

@@ -11,9 +11,9 @@ from rich.text import Text
 from fleet.analysis.preflight import large_log_hint
 from fleet.analysis.punctuality import summary
 from fleet.cores import hidden_cores
-from fleet.execution.notes import folded, without_agent
+from fleet.execution.notes import fold_notes, text_without_agent
 from fleet.result.result import FaultEvent, LinkAge, Result, Status, VehicleResult
-from fleet.result.verdict import failed_first
+from fleet.result.verdict import sort_failed_first
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from fleet.terminal import table
 from fleet.terminal.table import TerminalColumn, width
@@ -43,13 +43,13 @@ def show(result: Result, terminal: Terminal) -> None:
         say(result.reason, "red", "run broke:" if result.status is Status.BROKEN else "stopped:")
         for line in result.lines:
             say(line)
-    for verdict in failed_first(result.checks):
+    for verdict in sort_failed_first(result.checks):
         style = "green" if verdict.passed else "red" if verdict.failed else "yellow"
         say(f"{verdict.check}: {verdict.asked}; found {verdict.words}", style, verdict.mark)
     _show_events(result.events, say)
-    explained = {without_agent(line) for line in result.lines}
-    notes = folded(note for note in result.notes if without_agent(note) not in explained)
-    room = table.shown(len(notes), MOST_NOTES)
+    explained = {text_without_agent(line) for line in result.lines}
+    notes = fold_notes(note for note in result.notes if text_without_agent(note) not in explained)
+    room = table.shown_rows(len(notes), MOST_NOTES)
     for note in notes[:room]:
         say(note, mark="note")
     if len(notes) > room:
@@ -88,7 +88,7 @@ def show(result: Result, terminal: Terminal) -> None:
 
 def _show_events(rows: list[FaultEvent], say: Say) -> None:
     events = vehicle_events((row.what, row.at_s) for row in rows if row.action == "begins")
-    room = table.shown(len(events), MOST_EVENTS)
+    room = table.shown_rows(len(events), MOST_EVENTS)
     for event in events[:room]:
         say(str(event), mark="event")
     if len(events) > room:
@@ -150,7 +150,7 @@ def _show_links(result: Result, terminal: Terminal, say: Say) -> None:
     rows, ages = result.ledger, result.ages
     causes = sorted({cause for row in rows.values() for cause in row.lost} - {Cause.REPLACED})
     alike = _alike(rows, ages)
-    room = table.shown(len(alike), MOST_LINKS)
+    room = table.shown_rows(len(alike), MOST_LINKS)
     oldest = sorted(alike, key=lambda name: -ages[name].max_s if name in ages else 0.0)
     shown = oldest[:room] if room < len(alike) else list(alike)
     names = [name if len(alike[name]) == 1 else f"{name} ... ({len(alike[name])})" for name in shown]
@@ -205,7 +205,7 @@ def _tell_more(rows: int, say: Say) -> None:
 
 def _farthest(rows: Mapping[str, VehicleResult]) -> list[str]:
     """The vehicles, given their rows: all, or of many those with the largest formation error at the end."""
-    room = table.shown(len(rows), MOST_VEHICLES)
+    room = table.shown_rows(len(rows), MOST_VEHICLES)
     if room == len(rows):
         return list(rows)
     return sorted(rows, key=lambda name: -(rows[name].formation_final_m or 0.0))[:room]

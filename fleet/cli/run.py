@@ -87,7 +87,7 @@ def run(
         for warning in [*analyse(loaded).warnings, *warnings(loaded)]:
             say(f"warning: {warning}", err=True)
     beside = [each for each in companions if each.asked]
-    asked = _checked(loaded, start, how, beside, terminal)
+    asked = _check_options(loaded, start, how, beside, terminal)
     if asked.clock is Clock.REAL:  # also with --quiet, which is for progress and not for what will be gone
         say(f"warning: {_DEPRECATED_CLOCK}", err=True)
     if not how.quiet:
@@ -110,17 +110,17 @@ def execute_and_print(
     from fleet.execution.execute import execute
 
     with ExitStack() as stack:
-        beside = [stack.enter_context(each.beside(options)) for each in companions]
+        beside = [stack.enter_context(each.start(options)) for each in companions]
 
         def on_published(directory: Path) -> None:
             for each in reversed(beside):  # what may end the run's wait for a listener, such as the page, comes last
-                _tell(each.published, directory)
+                _tell(each.on_run_published, directory)
 
         result = execute(scenario, replace(options, on_published=on_published), terminal)
         if result.directory is not None:
             for each in beside:
-                _tell(each.over, result.directory)
-        cli_junit.write(junit, result.scenario, cli_junit.of_run(result, typed_command()))
+                _tell(each.on_run_ended, result.directory)
+        cli_junit.write(junit, result.scenario, cli_junit.run_cases(result, typed_command()))
         _print_result(result, quiet=options.quiet)
     sys.exit(result.status.exit)
 
@@ -133,7 +133,7 @@ def _tell(hear: Callable[[Path], None], directory: Path) -> None:
         say(f"warning: {type(error).__name__} beside the run: {error}", err=True)
 
 
-def _checked(
+def _check_options(
     scenario: Scenario, start: Start | None, how: Options, companions: Sequence[Companion], terminal: Terminal
 ) -> Options:
     """How to run a scenario. Raises UsageError, FleetError: options do not go together, or with the scenario."""

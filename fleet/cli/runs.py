@@ -154,12 +154,14 @@ def list_() -> None:
 
     fleet ls lists the runs made of them.
     """
-    from fleet.cli.listing import filled, listed
+    from fleet.cli.listing import fill_listings, listing_document
     from fleet.scenario.catalogue import list_scenarios
 
-    scenarios, others = list_scenarios(), filled()
+    scenarios, others = list_scenarios(), fill_listings()
     if json_is_asked():
-        print_document(listed(scenarios, {each.key: [row for row, _ in rows] for each, rows in others.items()}))
+        print_document(
+            listing_document(scenarios, {each.key: [row for row, _ in rows] for each, rows in others.items()})
+        )
         return
     from rich.text import Text
 

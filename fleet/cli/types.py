@@ -46,9 +46,9 @@ def _trust(context: click.Context) -> None:
 
 
 def _hush(context: click.Context) -> None:
-    from fleet.terminal.status_line import hushed
+    from fleet.terminal.status_line import hush_progress
 
-    context.with_resource(hushed())
+    context.with_resource(hush_progress())
 
 
 Trust = Annotated[
@@ -147,7 +147,7 @@ def _number(text: str, otherwise: float) -> float:
         return otherwise
 
 
-def _speed(text: str) -> float | None:
+def _parse_speed(text: str) -> float | None:
     if text == "max":
         return None
     if not 1e-6 <= (speed := _number(text.removesuffix("x"), 0.0)) <= 1e6:
@@ -157,7 +157,7 @@ def _speed(text: str) -> float | None:
 
 
 # A factor of real time; None: as fast as possible.
-SPEED = Parsed("x|max", _speed, lambda speed: "max" if speed is None else f"{speed:g}")
+SPEED = Parsed("x|max", _parse_speed, lambda speed: "max" if speed is None else f"{speed:g}")
 
 
 class _Pace(click.types.FloatParamType):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from fleet.addon import Verb, installed, leave_out
+from fleet.addon import Verb, installed_addons, leave_out
 
 _LAST = "This tool"  # the last heading
 CORE: dict[str, dict[str, Verb]] = {
@@ -77,7 +77,7 @@ def headings() -> dict[str, dict[str, Verb]]:
     last = found.pop(_LAST)
     taken = set(_OF_THE_CORE)
     found_last = dict(last)
-    for whose, addon in installed().addons.items():
+    for whose, addon in installed_addons().addons.items():
         for title, verbs in addon.verbs.items():
             for name in verbs.keys() & taken:
                 leave_out(f"{whose}: fleet {name}", "there is a command of this name already")
@@ -100,11 +100,11 @@ def verb_of(name: str) -> Verb | None:
 
 def hint_for(typed: str) -> str:
     """What a word is called here that is none of our commands; empty: it is not known."""
-    said = [addon.hints.get(typed) for addon in installed().addons.values()]
+    said = [addon.hints.get(typed) for addon in installed_addons().addons.values()]
     return "; or ".join(dict.fromkeys(filter(None, [HINTS.get(typed), *said])))
 
 
 def other_option(command: str, option: str) -> str:
     """What does what an option that there is not would do; empty: it is not known."""
-    theirs = (addon.other_options.get((command, option)) for addon in installed().addons.values())
+    theirs = (addon.other_options.get((command, option)) for addon in installed_addons().addons.values())
     return OTHER_OPTIONS.get((command, option)) or next(filter(None, theirs), "")

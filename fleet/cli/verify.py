@@ -77,10 +77,10 @@ def diff(
         found = compare(left, right)
     status = 0 if found.first is None or (tolerance and found.within(tolerance)) else 1
     if json_is_asked():
-        from fleet.cli.documents.logs import compared
+        from fleet.cli.documents.logs import diff_document
 
         missing, besides = (left.missing, right.missing), besides_messages(left, right)
-        print_document(compared((left.path, right.path), missing, found, tolerance, besides))
+        print_document(diff_document((left.path, right.path), missing, found, tolerance, besides))
         sys.exit(status)
     for name, reader in (("a", left), ("b", right)):
         if reader.missing:
@@ -123,12 +123,12 @@ def recover(
       fleet recover cut.mcap -o clean.mcap
       fleet recover bag                   a bag whose recorder was killed
     """
-    from fleet.mcap.other import known_as
+    from fleet.mcap.other import find_other_data
     from fleet.mcap.recover import recover as write
     from fleet.mcap.recover import recovery_text
 
     with showing(f"recovering {log}") as on_progress:
-        kind = known_as(log)
+        kind = find_other_data(log)
         found = (kind and kind.recover(log, out, on_progress)) or write(log, out, on_progress)
     say(recovery_text(found), err=found.nothing)
     sys.exit(1 if found.nothing else 3 if found.lost else 0)

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import msgspec
 
 from fleet.errors import FleetError
-from fleet.execution.directory import CONNECTION, OBSERVE, in_use
-from fleet.execution.registry import registered
+from fleet.execution.directory import CONNECTION, OBSERVE, is_in_use
+from fleet.execution.registry import registered_runs
 from fleet.logs.run_name import RUN_NAME
 from netem.errors import BusError
 from netem.files import DamagedFile, parse_json, read_file
@@ -72,7 +72,7 @@ def live_runs() -> list[LiveRun]:
     """The runs of this user that can be asked, wherever they are, by name. A run in one process answers none. Raises
     RegistryError if it is not known which runs there are.
     """
-    found = [_read(directory) for directory in published(CONNECTION)]
+    found = [_read(directory) for directory in published_runs(CONNECTION)]
     return sorted((one for one in found if one is not None), key=lambda one: (one.name, one.directory))
 
 
@@ -85,9 +85,9 @@ def find(run: str | None = None, *, to_act: bool = False) -> LiveRun:
     return one
 
 
-def published(file: str) -> list[Path]:
+def published_runs(file: str) -> list[Path]:
     """The directories of the live runs that have such a file. Raises RegistryError: it is not known which."""
-    return [directory for directory in registered() if os.path.exists(directory / file)]
+    return [directory for directory in registered_runs() if os.path.exists(directory / file)]
 
 
 def choose(run: str | None, file: str, *, to_act: bool = False) -> Path:
@@ -105,13 +105,13 @@ def choose(run: str | None, file: str, *, to_act: bool = False) -> Path:
     """
     if run is not None and os.path.exists(Path(run) / file):  # unlike Path.exists it never raises
         directory = Path(run).resolve()  # `latest` is no name
-        if not in_use(directory):
+        if not is_in_use(directory):
             raise RemoteError(f"the run in {directory} is over: its console is gone")
         return directory
     if run is not None and "/" in run:
         raise RemoteError(f"{run} is no live run: there is no {file}")
-    known = published(file)
-    found = known if run is None else named(run, known)
+    known = published_runs(file)
+    found = known if run is None else runs_named(run, known)
     if not found:
         raise RemoteError(_nothing(run, known, file))
     near = near_ones(found)
@@ -142,7 +142,7 @@ def _working_directory() -> Path:
         return Path("/nowhere")
 
 
-def named(run: str, known: list[Path]) -> list[Path]:
+def runs_named(run: str, known: list[Path]) -> list[Path]:
     """The runs with this name, or else with this scenario, or else with a name that begins like this."""
     return (
         [directory for directory in known if directory.name == run]
@@ -154,7 +154,7 @@ def named(run: str, known: list[Path]) -> list[Path]:
 def _nothing(run: str | None, known: list[Path], file: str) -> str:
     if run is None:
         return "no live run; fleet ls lists all runs below runs; a run with --in-process cannot be reached"
-    if others := named(run, registered()):  # without the file
+    if others := runs_named(run, registered_runs()):  # without the file
         return f"the live run {others[0].name} " + ("is not published" if file == OBSERVE else f"has no {file} yet")
     return f"no live run is called {run!r}" + (f"; there are:{_choices(known)}" if known else "; there is none at all")
 
@@ -166,7 +166,7 @@ def _choices(found: list[Path]) -> str:
 
 
 def is_live(run: LiveRun) -> bool:
-    return in_use(run.directory) and os.path.exists(run.directory / CONNECTION)
+    return is_in_use(run.directory) and os.path.exists(run.directory / CONNECTION)
 
 
 class OpenConnection:

@@ -91,8 +91,6 @@ class Console:
             with deferring_interrupts():  # otherwise processes stay, and an open session keeps us from ending
                 self._fleet.close()
 
-    # The stages of a run.
-
     def _get_ready(self, progress: Callable[[], None]) -> None:
         fleet, session = self._fleet, self._fleet.session
         vehicles = range(1, self._scenario.vehicles + 1)
@@ -174,8 +172,6 @@ class Console:
         self._fleet.waiting = self._fleet.external.waiting(time.monotonic() - since, self._options.join_timeout_s)
         progress()
 
-    # Events.
-
     def _take(self, timeout_s: float) -> None:
         for event in self._fleet.events.take(timeout_s):
             self._handle(*event)
@@ -194,13 +190,13 @@ class Console:
             case EventKind.NOTE:
                 self._fleet.note(*data)
             case EventKind.EXIT:
-                if not self._fleet.ended(data):
+                if not self._fleet.on_process_ended(data):
                     self._explain(data)
             case EventKind.OPERATION:
                 self._answer_operator(*data)
             case EventKind.TOKEN:
                 i, alive = data
-                (self._fleet.registered if alive else self._fleet.unregistered)(i)
+                (self._fleet.on_token if alive else self._fleet.on_token_gone)(i)
             case EventKind.ROUTER_LOST:
                 at = self._fleet.now()
                 raise RunBroken(f"the link to the router at {data} has ended at {at}: closed, or silent for the lease")

@@ -6,16 +6,16 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from fleet.errors import RunBroken
-from fleet.execution.notes import folded, without_agent
+from fleet.execution.notes import fold_notes, text_without_agent
 from fleet.processes.children import (
     FORKSERVER_LOST,
     Child,
     Exit,
     describe_exit,
-    ended,
     forkserver_death,
     forkserver_suspended,
-    suspended,
+    has_ended,
+    is_suspended,
 )
 from netem.wire.credentials import NETEM, WORLD, agent_role
 
@@ -47,8 +47,8 @@ def explain(
     reason = f"{first.role.replace('-', ' ')} ({_where(first.role, child)}) {describe_exit(first.code)} at {at}"
     reason += f" while agent {culprit} computed" if culprit else ""
     about = [note for note in notes if f"agent {culprit or first.role.removeprefix('agent-')}:" in note]
-    alike = {without_agent(note) for note in about}
-    lines = folded([*about, *(note for note in notes if note not in about and without_agent(note) in alike)])
+    alike = {text_without_agent(note) for note in about}
+    lines = fold_notes([*about, *(note for note in notes if note not in about and text_without_agent(note) in alike)])
     tail = child.tail()
     # A traceback ends in what the note says.
     if about and any(line.lstrip().startswith(("Traceback ", 'File "')) for line in tail):
@@ -106,8 +106,8 @@ def _where(role: str, child: Child) -> str:
 def _condition(role: str, child: Child) -> str:
     """Words on a process that cannot answer, so that a forgotten SIGSTOP is seen at once; mostly none, or the host."""
     where = _where(role, child)
-    if ended(child.pid):  # the process ended, and its exit has not been reported
+    if has_ended(child.pid):  # the process ended, and its exit has not been reported
         return f" ({where} has ended; {forkserver_suspended() or 'it has not been reaped yet'})"
-    if suspended(child.pid):
+    if is_suspended(child.pid):
         return f" ({where} is suspended)"
     return "" if child.role == role else f" ({where})"

@@ -119,7 +119,7 @@ def link_latest(out: Path, name: str) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def in_use(directory: Path) -> bool:
+def is_in_use(directory: Path) -> bool:
     """Whether a run goes on in a directory; one that was killed is over at once, whoever has its number now. Where that
     cannot be seen (a file system without locks), one without a result may go on.
     """

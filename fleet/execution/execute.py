@@ -90,7 +90,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     if has_gateways(scenario):
         admit_programs(scenario.spec, scenario.reading.policy)
     try_plants(scenario)
-    moment = None if options.start is None else _reached(options.start, quiet=options.quiet)
+    moment = None if options.start is None else _run_prefix(options.start, quiet=options.quiet)
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:
         if moment is not None:
@@ -104,7 +104,7 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     return run.result
 
 
-def _reached(start: Start, *, quiet: bool) -> Prefix:
+def _run_prefix(start: Start, *, quiet: bool) -> Prefix:
     at = show_time(start.tick * start.legs[-1].scenario.tick_ns)
     with showing(f"running to t = {at} again", quiet=quiet) as on_progress:
         return reach(start, on_progress)
@@ -129,7 +129,7 @@ def _prepare(
     shared = Hosting() if in_process else hosting(scenario, options)
 
     # Before anything is made, too: one in Python may be wrong.
-    checks = OwnChecks.asked(scenario, 0 if options.start is None else options.start.tick)
+    checks = OwnChecks.from_scenario(scenario, 0 if options.start is None else options.start.tick)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     if in_process:
@@ -179,7 +179,7 @@ def _serve(run: _Run) -> None:
     try:
         if run.publisher is not None and run.publisher.wait:
             run.line.print("waiting for a subscriber")
-            run.publisher.heard()
+            run.publisher.wait_for_subscriber()
         began = time.monotonic()
         with run.line:
             progress = ProgressLine(run.scenario, run.journal, run.line, lambda: run.runner.waiting)
@@ -214,7 +214,7 @@ def _judge(run: _Run) -> None:
             result.punctual = convert(timing, Punctual)
             more.append(punctuality.punctual(result.punctual, run.scenario.spec.checks.punctual))
     elif run.options.clock is Clock.REAL:
-        result.timing = punctuality.measured(timing, run.options.speed or 1.0)
+        result.timing = punctuality.timing_of(timing, run.options.speed or 1.0)
     if result.timing is not None:
         more.append(punctuality.verdict(result.timing, run.options.max_missed))
     judge_run(run.scenario, run.journal, result, lost=run.runner.middleware_lost, more=more)
@@ -224,7 +224,7 @@ def _report(run: _Run) -> None:
     runner, result = run.runner, run.result
     wall = Wall(in_process=run.in_process, startup_s=runner.started_s, run_s=run.wall_s - runner.started_s)
     if not run.in_process:
-        wall.processes, wall.per_process = run.hosting.used(run.scenario)
+        wall.processes, wall.per_process = run.hosting.processes_used(run.scenario)
     account_for(result, run.scenario, run.journal, run.log, runner, wall)
     if run.publisher is not None:
         result.published = Published(run.publisher.published, run.publisher.dropped)

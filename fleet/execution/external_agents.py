@@ -45,12 +45,12 @@ def refuse(scenario: Scenario, what: str, *, stacks: bool = False) -> None:
         return
     if scenario.external:
         raise FleetError(
-            f"{named(scenario.external)}: {what} cannot have agents that are started elsewhere; "
+            f"{describe_external(scenario.external)}: {what} cannot have agents that are started elsewhere; "
             "set external: false there to run ours"
         )
 
 
-def on_wall_clock(scenario: Scenario) -> bool:
+def uses_wall_clock(scenario: Scenario) -> bool:
     """Whether programs outside of simulated time take part, which the run starts: no two runs of it are the same."""
     return bool(scenario.nodes) or has_gateways(scenario)
 
@@ -61,7 +61,7 @@ def has_gateways(scenario: Scenario) -> bool:
     return bool(external) and all(its.gateway is not None for its in external)
 
 
-def named(vehicles: Sequence[int]) -> str:
+def describe_external(vehicles: Sequence[int]) -> str:
     if len(vehicles) == 1:
         return f"vehicle {vehicles[0]} is external"
     return f"vehicles {', '.join(map(str, vehicles[:-1]))} and {vehicles[-1]} are external"
@@ -127,9 +127,9 @@ class ExternalAgents:
     def note_ready(self, ready: Iterable[int]) -> None:
         """Record that the world heard these agents. The agents among them that hold their token have joined."""
         for i in sorted(set(ready) & self._awaited.keys() & self._present):
-            self.joined(i)
+            self.on_joined(i)
 
-    def joined(self, i: int) -> None:
+    def on_joined(self, i: int) -> None:
         if self._awaited.pop(i, None) is not None:
             self._print_line(f"agent {i} (external) has joined")
 
@@ -148,7 +148,7 @@ class ExternalAgents:
         """Whom the run waits for, in words. Raises RunBroken: they did not join within `most_s`."""
         names = ", ".join(f"agent {i} (external)" for i in self.awaited[:8])
         names += f" and {len(self._awaited) - 8} more" if len(self._awaited) > 8 else ""
-        if failed := self._gateways.failed():
+        if failed := self._gateways.failure():
             raise RunBroken(failed)
         if waited_s > most_s:
             raise RunBroken(f"{names} did not join within {most_s:g} s; --join-timeout gives more time")

@@ -8,10 +8,10 @@ from pydantic import ValidationError
 
 from fleet.errors import FleetError
 from fleet.scenario.rules.faults import fault_problems
-from fleet.scenario.rules.nodes import unfit
+from fleet.scenario.rules.nodes import why_impossible
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.sections.node_names import numbered_values, of_nodes
+from fleet.scenario.sections.node_names import values_to_numbers, with_node_names
 from fleet.scenario.sections.triggers import read_entry
 
 BROKEN = 3  # the status of a refusal for which the asker can do nothing
@@ -27,21 +27,21 @@ class RefusedError(FleetError):
         self.status = status
 
 
-def checked_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
+def check_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick. Raises RefusedError
     if it is none, or none for this scenario; the text says what is wrong.
     """
     try:
-        return _checked(entry, tick, scenario)
+        return _check(entry, tick, scenario)
     except RefusedError as error:
-        raise RefusedError(of_nodes(str(error), scenario.nodes), error.status) from None
+        raise RefusedError(with_node_names(str(error), scenario.nodes), error.status) from None
 
 
-def _checked(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
+def _check(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     if not isinstance(entry, dict) or "at" in entry:
         raise RefusedError("expected a fault without `at`, because it begins now")
     try:
-        entry = numbered_values(entry, scenario.nodes)
+        entry = values_to_numbers(entry, scenario.nodes)
     except KeyError as error:
         nodes = ", ".join(scenario.nodes)
         raise RefusedError(f"there is no node {error.args[0]}; the nodes are {nodes}") from None
@@ -53,7 +53,7 @@ def _checked(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
         hint = first.get("ctx", {}).get("hint", "")
         where = ".".join(str(step) for step in first["loc"] if step != "[key]")
         raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
-    if scenario.nodes and (wrong := unfit(scenario.spec, section)) is not None:
+    if scenario.nodes and (wrong := why_impossible(scenario.spec, section)) is not None:
         raise RefusedError("; ".join(wrong))
     problem = next(fault_problems(section, scenario.spec, scenario.graph.links), None)
     if problem is not None:

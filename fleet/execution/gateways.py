@@ -60,7 +60,7 @@ class Gateways:
             raise FleetError(f"the gateway of vehicle {i} cannot be started: {error.strerror}") from None
         self._print_line(f"agent {i} is a real computer: fleet agent {shlex.join(options)} ({log})")
 
-    def failed(self) -> str:
+    def failure(self) -> str:
         """Which gateway has ended with a failure, and its last line; empty: none has."""
         for i, process in self._running.items():
             if process.poll() not in (None, 0):

@@ -50,7 +50,7 @@ class Hosting:
             return ()
         return (int(number),) if kind == "agent" else self.members[int(number) - 1]
 
-    def used(self, scenario: Scenario) -> tuple[int, int]:
+    def processes_used(self, scenario: Scenario) -> tuple[int, int]:
         """How many processes of agents the run starts, and how many agents the fullest has."""
         alone = scenario.vehicles - len(scenario.external) - sum(map(len, self.members))
         return len(self.members) + alone, max(map(len, self.members), default=min(1, alone))
@@ -73,15 +73,15 @@ def hosting(scenario: Scenario, options: Options) -> Hosting:
         # A law of a user's may keep what it knows in its module, or end its process: it shares none unasked.
         known = {i: laws(scenario.controls[i - 1]).items() for i in own}
         ours = [i for i in own if all(law.name in BUILT_IN[kind] for kind, law in known[i])]
-        return _shared(ours, min(AUTO_MOST, ceil(len(ours) / (AUTO_PER_CPU * processors()))))
+        return _share(ours, min(AUTO_MOST, ceil(len(ours) / (AUTO_PER_CPU * processors()))))
     if most > 1 and options.clock is Clock.REAL:
-        raise _refused(most, "with --clock real an agent that is late would make the others late")
+        raise _refusal(most, "with --clock real an agent that is late would make the others late")
     if most > 1 and router:
-        raise _refused(most, "a router that is there already has a login for each agent, and none for several")
-    return _shared(own, most)
+        raise _refusal(most, "a router that is there already has a login for each agent, and none for several")
+    return _share(own, most)
 
 
-def _shared(own: Sequence[int], most: int) -> Hosting:
+def _share(own: Sequence[int], most: int) -> Hosting:
     if most <= 1 or not own:
         return Hosting()
     count = ceil(len(own) / most)
@@ -89,5 +89,5 @@ def _shared(own: Sequence[int], most: int) -> Hosting:
     return Hosting(tuple(tuple(own[a:b]) for a, b in pairwise(borders)))
 
 
-def _refused(most: int, why: str) -> FleetError:
+def _refusal(most: int, why: str) -> FleetError:
     return FleetError(f"agents.per_process: {most}: {why}; --set agents.per_process=1 gives each a process of its own")

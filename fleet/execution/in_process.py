@@ -29,7 +29,7 @@ from fleet.recorder.start import set_up_otherwise
 from fleet.scenario.faults.kind import Kill
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.timeline import MOST_RESTARTS
-from netem.draws import salted
+from netem.draws import salted_seed
 from netem.errors import MalformedMessage, OutOfPlace
 from netem.faults import NetFault
 from netem.lives import Absence
@@ -88,7 +88,7 @@ class InProcess:
         self._other_agents = agents or {}
         self._kept: KeptFiles = KeptFiles() if before is None else before._kept
         self.scenario, self.journal, self._before = scenario, journal, before
-        seed = salted(scenario.seed, salt)
+        seed = salted_seed(scenario.seed, salt)
         self._world = Lockstep(replace(scenario.world_config, seed=seed), frame_every=frame_every(scenario))
         self.rounds = Rounds(replace(scenario.netem_config, seed=seed))
         self._loops: dict[int, AgentLife] = {}
@@ -175,8 +175,6 @@ class InProcess:
     def finished(self) -> bool:
         return self._world.finished
 
-    # What is done to the fleet between two ticks: `Fleet`.
-
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         self.rounds.netem.faults = tuple(faults)
         return True
@@ -184,9 +182,9 @@ class InProcess:
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
         self._world.state.world.faults = tuple(faults)
 
-    def without_agent(self) -> list[int]:
+    def vehicles_without_agent(self) -> list[int]:
         state = self._world.state
-        return [i for i in state.ids if state.without_agent(i)]
+        return [i for i in state.ids if state.lacks_agent(i)]
 
     def end_agents(self, kill: Kill) -> None:
         for absence in kill.absences:
@@ -202,8 +200,6 @@ class InProcess:
     def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         self._world.state.lives.restart(i, begin, tick)
         self.rounds.lives.restart(i, begin, tick)
-
-    # What the cores say to each other.
 
     def _settle(self) -> None:
         """Carry what is in the post, until everyone waits for a grant or for an agent that answers later."""
@@ -240,7 +236,7 @@ class InProcess:
     def life(self, i: int) -> AgentLife | None:
         """The present life of agent i; None: it is gone, or begins with the next tick."""
         state, loop = self._world.state, self._loops[i]
-        return None if state.without_agent(i) or state.incarnation(i) != loop.incarnation else loop
+        return None if state.lacks_agent(i) or state.incarnation(i) != loop.incarnation else loop
 
     def _born(self, i: int, incarnation: int, begin: int) -> AgentLife:
         if i in self._other_agents:
@@ -334,7 +330,7 @@ class InProcess:
         self.notes.append(note_text(tick, self.scenario.tick_ns, who, text))
 
 
-def in_process(
+def start_in_process(
     scenario: Scenario,
     log: JournalSink,
     before: InProcess | None = None,
@@ -346,5 +342,5 @@ def in_process(
     """Make a run in this process, and its journal, which writes to `log`. The rest is as for `InProcess`. `judged`: the
     user's own checks see everything, too. Raises CheckError if a check in Python cannot be made.
     """
-    checks = OwnChecks.asked(scenario, 0 if before is None else before.granted) if judged else None
+    checks = OwnChecks.from_scenario(scenario, 0 if before is None else before.granted) if judged else None
     return InProcess(scenario, Journal(scenario, log, checks=checks), before, agents, salt)

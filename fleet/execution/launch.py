@@ -146,15 +146,15 @@ class Launch:
         scenario = self._scenario
         # An agent elsewhere may take long to answer, and keep the turn of one that would not.
         most_asked = scenario.vehicles if scenario.external else ASKED_PER_CPU * processors()
-        sea = world.main.Sea(
+        setup = world.main.WorldSetup(
             scenario.world_config, frame_every(scenario), self._options.clock, self._options.speed or 1.0, most_asked
         )
         ends = None if self._ends is None else self._ends.of_world
         if self.joins_router:
-            return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], sea, ends)
+            return world.main.join, (self.endpoint, self._keys.run, self.credentials[WORLD], setup, ends)
         clients = {role: known for role, known in self.credentials.items() if role != WORLD}
         listening = self._listener, self._rendezvous.certified, self._hosting.members
-        return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, sea, *listening, ends)
+        return world.main.run, (self.endpoint, self._keys.run, clients, self._private.path, setup, *listening, ends)
 
     def _other_endpoints(self) -> Listener | None:
         listener = self._rendezvous.listener

@@ -14,7 +14,7 @@ from msgspec.structs import asdict
 
 from fleet.recorder.journal import Journal
 from fleet.recorder.metrics import SETTLE_M, Series
-from fleet.recorder.settling import below_from, least_s, stayed
+from fleet.recorder.settling import first_settled, is_long_enough, least_s
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.vehicle_events import vehicle_events
 
@@ -35,7 +35,7 @@ def vehicle_rows(
             "state": _state(i, journal, dead),
             "formation_m": series[i].formation[-1],
             "e_m": series[i].e[-1],
-            "settled": _settled(scenario, journal, series[i]),
+            "settled": _is_settled(scenario, journal, series[i]),
             "oldest_s": ages[i][0] * scenario.tick_ns / 1e9 if i in ages else None,
             "oldest_of": ages[i][1] if i in ages else None,
         }
@@ -89,13 +89,13 @@ def _state(i: int, journal: Journal, dead: Collection[int]) -> str:
     return ", ".join(words) or "alive"
 
 
-def _settled(scenario: Scenario, journal: Journal, series: Series) -> bool:
+def _is_settled(scenario: Scenario, journal: Journal, series: Series) -> bool:
     """Whether the consensus error has been below 5 cm for as long as the result table asks for, up to now."""
     times = journal.metrics.times
     least = least_s(scenario.disturbance, times[-1] - times[0])
     begin = max(0, bisect_left(times, times[-1] - least) - 1)  # only so much is looked at, however long the run is
-    first = below_from(series.e, SETTLE_M, begin, len(times))
-    return first < len(times) and stayed(times, first, len(times), least)
+    first = first_settled(series.e, SETTLE_M, begin, len(times))
+    return first < len(times) and is_long_enough(times, first, len(times), least)
 
 
 def _oldest(scenario: Scenario, journal: Journal) -> Mapping[int, tuple[int, int]]:

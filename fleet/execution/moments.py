@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from agents.errors import AgentError
 from fleet.errors import FleetError, RunBroken
-from fleet.execution.in_process import InProcess, in_process
+from fleet.execution.in_process import InProcess, start_in_process
 from fleet.quantities import show_time
 from fleet.recorder.journal import JournalSink
 from fleet.recorder.metrics import VehicleError
@@ -51,12 +51,12 @@ def reach(start: Start, on_progress: Callable[[float], None] = lambda share: Non
     """
     moment: Prefix | None = None
     for leg in start.legs:
-        moment = _gone(leg, moment, start if leg is start.legs[-1] else None, lambda k: on_progress(k / start.tick))
+        moment = _run_leg(leg, moment, start if leg is start.legs[-1] else None, lambda k: on_progress(k / start.tick))
     assert moment is not None
     return moment
 
 
-def _gone(leg: Leg, before: Prefix | None, start: Start | None, on_progress: Callable[[int], None]) -> Prefix:
+def _run_leg(leg: Leg, before: Prefix | None, start: Start | None, on_progress: Callable[[int], None]) -> Prefix:
     """Go on from a moment to the end of a leg. `start`: whose last leg it is."""
     scenario = leg.scenario
     links = LinkHistories(scenario.graph.links) if before is None else before.links
@@ -64,7 +64,7 @@ def _gone(leg: Leg, before: Prefix | None, start: Start | None, on_progress: Cal
     if start is not None and start.recorded is not None:
         log = writer = LogWriter(start.recorded(), scenario, start.before, links=links)
         links = writer.links
-    run = in_process(scenario, log, None if before is None else before.run, salt=leg.salt, judged=False)
+    run = start_in_process(scenario, log, None if before is None else before.run, salt=leg.salt, judged=False)
     try:
         run.begin()
         while run.granted < leg.until:

@@ -16,7 +16,7 @@ from netem.wire.queues import Quota
 
 MOST_NOTES = 1000
 MOST_NAMES = 8  # of programs or nodes in one line
-_ALIKE = " (so did agent"  # begins what `folded` adds
+_ALIKE = " (so did agent"  # begins what `fold_notes` adds
 _AGENT = re.compile(r"\bagent (\d+)\b")
 
 
@@ -39,16 +39,16 @@ def nothing_came(nodes: Sequence[str]) -> str:
     return f"nothing came from {some(nodes)}, and no packet of theirs was delayed or lost"
 
 
-def without_agent(note: str) -> str:
+def text_without_agent(note: str) -> str:
     """The note without the number of its agent: the same text for agents that report the same, and when folded."""
     return _AGENT.sub("agent", note.partition(_ALIKE)[0])
 
 
-def folded(notes: Iterable[str]) -> list[str]:
+def fold_notes(notes: Iterable[str]) -> list[str]:
     """Each note once: of agents that report the same, the first note stands, and the others are named behind it."""
     alike: dict[str, list[str]] = {}
     for note in notes:
-        alike.setdefault(without_agent(note), []).append(note)
+        alike.setdefault(text_without_agent(note), []).append(note)
     lines = []
     for first, *others in alike.values():
         numbers = sorted({int(found[1]) for note in others if (found := _AGENT.search(note))})

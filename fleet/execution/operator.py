@@ -16,7 +16,7 @@ from msgspec.structs import asdict
 
 from fleet.analysis.verdicts import standing
 from fleet.execution.clock import LiveClock
-from fleet.execution.fault_request import BROKEN, RefusedError, checked_fault
+from fleet.execution.fault_request import BROKEN, RefusedError, check_fault
 from fleet.execution.live_status import event_rows, link_rows, vehicle_rows
 from fleet.execution.runner import Fleet
 from fleet.recorder.journal import Journal
@@ -78,7 +78,7 @@ class Operator:
 
     def _status(self, *, every: bool) -> dict[str, Any]:
         total = self.journal.ledger.total()
-        dead = self.fleet.without_agent()
+        dead = self.fleet.vehicles_without_agent()
         return {
             "scenario": self.scenario.name,
             "at_s": self._seconds(max(0, self.journal.framed)),
@@ -111,7 +111,7 @@ class Operator:
         tick = self.fleet.granted
         if tick >= self.scenario.ticks:
             raise RefusedError("the run is about to end", BROKEN)
-        section = checked_fault(entry, tick, self.scenario)
+        section = check_fault(entry, tick, self.scenario)
         name = section.id or next(n for n in map("live-{}".format, count(1)) if n not in self._entries)
         if name in self._entries:
             raise RefusedError(f"there is a fault {name} already")

@@ -13,8 +13,8 @@ from typing import Annotated
 from msgspec import Meta, Struct, field
 
 from fleet.errors import FleetError
-from fleet.execution.directory import LATEST, SCENARIO, in_use, link_latest, no_place
-from fleet.logs.run_name import RUN_NAME, begun_at
+from fleet.execution.directory import LATEST, SCENARIO, is_in_use, link_latest, no_place
+from fleet.logs.run_name import RUN_NAME, begin_time
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import Status
 
@@ -75,7 +75,7 @@ def remove(out: Path, runs: Sequence[PastRun]) -> Iterator[PastRun]:
     """
     try:
         for run in runs:
-            if in_use(run.path):
+            if is_in_use(run.path):
                 continue
             try:
                 shutil.rmtree(run.path)
@@ -112,7 +112,7 @@ def _ours(out: Path) -> Iterator[tuple[Path, datetime]]:
     except OSError as error:
         raise no_place(f"cannot read {out}", error) from None
     for entry in entries:
-        began = begun_at(entry.name)
+        began = begin_time(entry.name)
         if began is None or not entry.is_dir(follow_symlinks=False):
             continue
         path = Path(entry.path)
@@ -124,7 +124,7 @@ def _read(path: Path, began: datetime) -> PastRun:
     name = RUN_NAME.fullmatch(path.name)
     assert name is not None  # only directories with such a name get here
     verdict, sim_s = BROKE, None
-    if in_use(path):
+    if is_in_use(path):
         verdict = LIVE
     else:
         with suppress(OSError, ResultError):

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.execution.directory import RunDirectory, in_use, remove_secrets
+from fleet.execution.directory import RunDirectory, is_in_use, remove_secrets
 
 NAME = "uuv-fleet"
 FALLBACK = Path("/tmp")
@@ -51,7 +51,7 @@ def register(run: RunDirectory) -> Path:
     return link
 
 
-def registered() -> list[Path]:
+def registered_runs() -> list[Path]:
     """The directories of all runs that live; links of others are removed. Raises RegistryError if the folder cannot be
     read or trusted.
     """
@@ -67,7 +67,7 @@ def registered() -> list[Path]:
     for link in links:
         with suppress(OSError):  # the run has ended meanwhile
             directory = link.readlink()
-            if in_use(directory):
+            if is_in_use(directory):
                 found.add(directory)
             else:
                 remove_secrets(directory)

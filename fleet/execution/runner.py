@@ -72,7 +72,7 @@ class Fleet(Protocol):
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
         """Replace the world's faults before the first tick that is not granted yet."""
 
-    def without_agent(self) -> list[int]:
+    def vehicles_without_agent(self) -> list[int]:
         """The vehicles that have no agent now."""
 
     def end_agents(self, kill: Kill) -> None:

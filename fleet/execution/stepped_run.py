@@ -20,7 +20,7 @@ from fleet.errors import FleetError, RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.external_agents import refuse
 from fleet.execution.fault_request import RefusedError
-from fleet.execution.in_process import MakeLife, in_process
+from fleet.execution.in_process import MakeLife, start_in_process
 from fleet.execution.operator import Operator
 from fleet.execution.outcome import account_for, judge_run, settle
 from fleet.execution.triggered import resolve_triggers
@@ -32,7 +32,7 @@ from fleet.recorder.metrics import VehicleError
 from fleet.recorder.writer import LogWriter
 from fleet.result.result import Result, Status, Wall
 from fleet.result.verdict import Margin
-from fleet.scenario.loading import changed, load_scenario
+from fleet.scenario.loading import load_scenario, with_overrides
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.fault_words import read_fault
@@ -110,7 +110,7 @@ class Run:
             FleetError: somebody else is to start an agent.
             TypeError: an argument is unknown; keys of the scenario go into `set`.
         """
-        found = loaded(Run, scenario, set, net, fault, seed, trust, unknown)
+        found = load_for(Run, scenario, set, net, fault, seed, trust, unknown)
         refuse(found, "a run in one process")
         self._prepare(found, None if log is None else LogFile(Path(log)), None, None)
 
@@ -159,7 +159,7 @@ class Run:
         self._file = log or NoLog()
         writer = self._file if isinstance(self._file, NoDigest) else LogWriter(self._file, scenario)
         recorded = writer if watcher is None else WatchedLog(writer, watcher)
-        self._runner = in_process(scenario, recorded, agents=agents)
+        self._runner = start_in_process(scenario, recorded, agents=agents)
         self._journal = self._runner.journal
         self._policy = GrantPolicy.of(scenario)
         self._operator = Operator(scenario, self._journal, LiveClock(self._policy, 0.0), self._runner)
@@ -192,7 +192,7 @@ class Run:
     def state(self) -> State:
         """The fleet as it is now, truth included."""
         scenario, world = self.scenario, self._runner.world
-        tick_s, dead, vehicles = scenario.tick_ns / 1e9, self._runner.without_agent(), {}
+        tick_s, dead, vehicles = scenario.tick_ns / 1e9, self._runner.vehicles_without_agent(), {}
         for i in world.ids:
             eta, nu = world.state(i)
             t = world.tick(i) * tick_s  # an agent that answers later is still at the tick before
@@ -407,7 +407,7 @@ def _ticks(by: int | str, tick_ns: int) -> int:
     return ns // tick_ns
 
 
-def loaded(
+def load_for(
     function: Callable[..., Any],
     scenario: str | Path | Scenario,
     set: Changes,
@@ -454,7 +454,7 @@ def loaded(
     with trusting(trust):
         if not isinstance(scenario, Scenario):
             return load_scenario(scenario, changes)
-        return changed(scenario, changes) if changes else scenario
+        return with_overrides(scenario, changes) if changes else scenario
 
 
 def override_texts(changes: Changes) -> list[str]:

@@ -28,7 +28,7 @@ from fleet.processes.children import (
     Children,
     Exit,
     describe_exit,
-    ended,
+    has_ended,
 )
 from fleet.recorder.journal import Journal
 from fleet.scenario.faults.kind import Kill
@@ -126,7 +126,7 @@ class Supervisor:
             with contextlib.suppress(MalformedMessage):
                 world = self._children.by_role.get(WORLD)
                 joined = [[i, self._incarnation[i], 0] for i in self.external.vehicles if self.external.present(i)]
-                if joined and self._session is not None and world is not None and not ended(world.pid):
+                if joined and self._session is not None and world is not None and not has_ended(world.pid):
                     self._session.ask(WORLD, "dismiss", agents=joined, reason=RUN_OVER)
         finally:
             self._children.stop()
@@ -137,8 +137,6 @@ class Supervisor:
             if self._launch is not None:
                 self._launch.close()
 
-    # What the operator asks for: `Fleet`.
-
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         return "tick" in self.session.ask(NETEM, "faults", faults=[fault_values(fault) for fault in faults])
 
@@ -146,8 +144,8 @@ class Supervisor:
         # On the key of the grants, so it arrives before any tick that is granted later.
         self.session.put(WorldFaults(tuple(faults)))
 
-    def without_agent(self) -> list[int]:
-        return [i for i in self._vehicles if self._lives.without_agent(i, max(0, self._journal.framed))]
+    def vehicles_without_agent(self) -> list[int]:
+        return [i for i in self._vehicles if self._lives.lacks_agent(i, max(0, self._journal.framed))]
 
     def end_agents(self, kill: Kill) -> None:
         for absence in kill.absences:
@@ -160,15 +158,13 @@ class Supervisor:
         self.session.put(Restart(i, begin, tick))
         self._set_absences()
 
-    # Lives.
-
     def next_restart(self) -> int:
         """The first begin of an agent that is not ready yet, as a tick. The clock stops before it."""
         # Simulated time waits for the process, so the result does not depend on the 0.3 s that Python takes to start.
         planned = [gap[1] for i in self._vehicles if (gap := self._gap(i)) is not None and gap[1] is not None]
         return min([*planned, *self.starting.values()], default=self._scenario.ticks)
 
-    def ended(self, exit_: Exit) -> bool:
+    def on_process_ended(self, exit_: Exit) -> bool:
         """Record that a process ended. False: the run cannot go on without it. If an agent died, the world decides the
         tick of its death.
         """
@@ -192,7 +188,7 @@ class Supervisor:
         self._gone.update(own)
         return True
 
-    def registered(self, i: int) -> None:
+    def on_token(self, i: int) -> None:
         """Record that an external agent's liveliness token appeared.
 
         A session whose link was cut links again by itself, with its token, but what it missed is lost. So an agent
@@ -203,7 +199,7 @@ class Supervisor:
         if self.begun and over >= 0:
             self._dismiss(i, over, 0, "its link had ended, and its life with it")
 
-    def unregistered(self, i: int) -> None:
+    def on_token_gone(self, i: int) -> None:
         """Record that an external agent's liveliness token disappeared. Raises RunBroken if the agent died, and the run
         does not go on without it.
         """
@@ -261,7 +257,7 @@ class Supervisor:
         for i in [i for i in self.starting if (i, self._incarnation[i]) in ready]:
             if i not in self.external.vehicles or self.external.present(i):
                 del self.starting[i]
-                self.external.joined(i)
+                self.external.on_joined(i)
 
     def _died(self, i: int, who: str, how: str, last: str) -> None:
         life, granted = self._incarnation[i], self.granted
@@ -319,8 +315,6 @@ class Supervisor:
 
     def now(self) -> str:
         return tick_text(self._journal.framed, self._scenario.tick_ns)
-
-    # Words for a person.
 
     def last_lines(self) -> list[str]:
         """The last line of each process, of the first ten that printed one."""

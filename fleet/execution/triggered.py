@@ -16,7 +16,7 @@ from fleet.checks.values import FrameValues
 from fleet.errors import RunBroken
 from fleet.execution.clock import GrantPolicy, LiveClock
 from fleet.execution.external_agents import refuse
-from fleet.execution.in_process import in_process
+from fleet.execution.in_process import start_in_process
 from fleet.execution.moments import reach
 from fleet.execution.operator import Operator
 from fleet.recorder.metrics import VehicleError
@@ -45,7 +45,7 @@ def resolve_triggers(scenario: Scenario, start: Start | None = None) -> Scenario
     refuse(scenario, "a scenario with triggers")
     calm, looks = _with(scenario, ()), _Looks(scenario, goes_on=start is not None)
     before = None if start is None else reach(replace(start, recorded=None)).run
-    runner = in_process(calm, looks, before, judged=False)
+    runner = start_in_process(calm, looks, before, judged=False)
     operator = Operator(calm, runner.journal, LiveClock(GrantPolicy.of(calm), 0.0), runner)
     try:
         runner.begin()

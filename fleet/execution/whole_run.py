@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Never
 
 from fleet.execution.directory import RunDirectory
-from fleet.execution.stepped_run import Changes, Run, Watcher, loaded
+from fleet.execution.stepped_run import Changes, Run, Watcher, load_for
 from fleet.execution.triggered import resolve_triggers
 from fleet.recorder.log_file import LogFile, NoLog
 from fleet.result.file import write_result
@@ -58,14 +58,14 @@ def run(
         FleetError: somebody else is to start an agent, or the run directory cannot be made.
         TypeError: an argument is unknown; keys of the scenario go into `set`.
     """
-    found = loaded(run, scenario, set, net, fault, seed, trust, unknown)
+    found = load_for(run, scenario, set, net, fault, seed, trust, unknown)
     if out is None:
-        return judged(found, progress)
+        return run_loaded(found, progress)
     found = resolve_triggers(found)  # the record has the faults that triggers began
     with closing(RunDirectory(Path(out), found.name, found.seed)) as directory:
         directory.write_scenario(found.to_yaml())
         with lines_go_into(directory.path / "log"):
-            result = judged(found, progress, log=LogFile(directory.log))
+            result = run_loaded(found, progress, log=LogFile(directory.log))
         result.run, result.directory = directory.path.name, directory.path
         try:
             write_result(result, directory.path)
@@ -75,7 +75,7 @@ def run(
     return result
 
 
-def judged(
+def run_loaded(
     scenario: Scenario,
     progress: Callable[[float], None] | None = None,
     watcher: Watcher | None = None,

@@ -22,7 +22,7 @@ from fleet.mcap.reader import LogReadError
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-from fleet.logs.table import TableColumn, columns, fits, need
+from fleet.logs.table import TableColumn, columns, fits, require
 
 CONVENTIONS = "CF-1.11"
 EXTRA = "tables"
@@ -46,7 +46,7 @@ def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> x
     """The table of a topic as a Dataset, from columns of (samples,) each, the time first; bytes are left out. `run` is
     what determined the run (`Log.run`). Raises FleetError if xarray is not installed.
     """
-    need("a Dataset", ("xarray",), EXTRA)
+    require("a Dataset", ("xarray",), EXTRA)
     import xarray as xr
 
     time, *fields = table
@@ -57,7 +57,7 @@ def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> x
     found = xr.Dataset(
         {name: (dim, column.values, _attributes(column, topic.schema)) for name, column in kept.items()},
         {"t": (dim, time.values, {"units": "s", "long_name": time.meaning})},
-        {"Conventions": CONVENTIONS, "title": topic.name, **_about(run)},
+        {"Conventions": CONVENTIONS, "title": topic.name, **_origin(run)},
     )
     found["t"].encoding["_FillValue"] = None  # CF: a coordinate has none
     return found
@@ -65,7 +65,7 @@ def dataset(topic: Topic, table: list[TableColumn], run: Mapping[str, str]) -> x
 
 def tree(path: Path, topics: Iterable[Topic], run: Mapping[str, str], most: int) -> xr.DataTree:
     """The topics of a log that are tables, by their names; as `Log.to_xarray`."""
-    need("a DataTree", ("xarray",), EXTRA)
+    require("a DataTree", ("xarray",), EXTRA)
     import xarray as xr
 
     chosen = [topic for topic in topics if fits(topic)]
@@ -94,7 +94,7 @@ def _table(topic: Topic) -> list[TableColumn]:
 
 def frame(topic: Topic) -> pd.DataFrame:
     """The table of a topic as a DataFrame; as `Log.to_pandas`."""
-    need("a DataFrame", ("pandas",), EXTRA)
+    require("a DataFrame", ("pandas",), EXTRA)
     import pandas as pd
 
     table = _table(topic)
@@ -110,7 +110,7 @@ def frame_attributes(table: list[TableColumn]) -> dict[str, dict[str, str]]:
     }
 
 
-def _about(run: Mapping[str, str]) -> dict[str, str]:
+def _origin(run: Mapping[str, str]) -> dict[str, str]:
     """Where a Dataset is from, in CF's words where it has some; of another program's log nothing is known."""
     if "uuv-fleet" not in run:
         return {}

@@ -28,7 +28,7 @@ class FieldValue(NamedTuple):
     unit: str
 
 
-def decoded(cls: Any, data: bytes) -> Any:
+def decode_message(cls: Any, data: bytes) -> Any:
     """Decode a message of a protobuf class. Raises DecodeError if it is damaged, or longer than LOG_MESSAGE.bytes."""
     if len(data) > LOG_MESSAGE.bytes:
         raise DecodeError(f"a message of {len(data)} bytes, more than the {LOG_MESSAGE.bytes} that are decoded")
@@ -60,7 +60,7 @@ class Decoder:
             self._known[record.topic] = known_class(self._reader.schemas.get(channel.schema_id)), units_of(channel)
         cls = self._known[record.topic][0]
         try:
-            return None if cls is None else decoded(cls, record.data)
+            return None if cls is None else decode_message(cls, record.data)
         except DecodeError:
             return None
 
@@ -122,10 +122,10 @@ def _unlike(cls: Any, columns: Iterable[MessageField], *, lacking: bool) -> str:
 
 def units_of(channel: Channel) -> dict[str, str]:
     """The unit of each field that has one, by the channel's metadata. Empty if the metadata cannot be read."""
-    return {name: unit for name, (unit, _) in declared_by(channel).items()}
+    return {name: unit for name, (unit, _) in field_meanings(channel).items()}
 
 
-def declared_by(channel: Channel) -> dict[str, tuple[str, str]]:
+def field_meanings(channel: Channel) -> dict[str, tuple[str, str]]:
     """(unit, meaning) of each field that has them, by the channel's metadata; empty of a channel that is not ours."""
     try:
         declared = json.loads(channel.metadata.get(UNITS, "{}")).items()

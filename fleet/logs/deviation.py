@@ -234,7 +234,7 @@ def _subtract(found: LogComparison, record: Record, left: list[FieldValue], righ
             if a is None or b is None or a.value != b.value:
                 found.others[name] += 1
             continue
-        apart = _apart(a.value, b.value)
+        apart = _distance(a.value, b.value)
         if apart == 0.0:
             continue
         known = found.signals.setdefault(name, Deviation(0.0, record.log_ns, a.unit))
@@ -247,7 +247,7 @@ def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _apart(a: float, b: float) -> float:
+def _distance(a: float, b: float) -> float:
     """|a - b|; no distance between two NaNs or equal infinities, an infinite one to a single of them."""
     if a == b or (isnan(a) and isnan(b)):
         return 0.0

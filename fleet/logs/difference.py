@@ -83,7 +83,7 @@ def difference(number: int, a: Side, b: Side) -> Difference:
     for one, other in apart:
         path, _, unit = one or other
         fields.append(FieldRow(path, unit, _plain(one), _plain(other)))
-        lines.append((path, _shown(one), _shown(other), _gap(one, other), unit))
+        lines.append((path, _show(one), _show(other), _gap(one, other), unit))
     words = f"message {number}: {a}\n"
     if apart:
         alike = len(pairs) - len(apart)
@@ -97,7 +97,7 @@ def difference(number: int, a: Side, b: Side) -> Difference:
 def _all_of(side: Side) -> Iterator[str]:
     yield f"  {side.name}: {side}"
     for value in side.values:
-        yield f"    {value.path} = {_shown(value)} {value.unit}".rstrip()
+        yield f"    {value.path} = {_show(value)} {value.unit}".rstrip()
 
 
 def _message(side: Side) -> MessageRow | None:
@@ -130,7 +130,7 @@ def besides_messages(a: LogReader, b: LogReader) -> list[str]:
         left, right = a.metadata.get(name, {}), b.metadata.get(name, {})
         keys = [key for key in sorted((left.keys() | right.keys()) - start) if left.get(key) != right.get(key)]
         found += [f"metadata {name}: {key} {left.get(key)} and {right.get(key)}" for key in keys]
-    topics = Counter({topic: 1 for topic, _ in _declared(a).items() ^ _declared(b).items()})
+    topics = Counter({topic: 1 for topic, _ in _declarations(a).items() ^ _declarations(b).items()})
     return [*found, *(f"the declaration of {topic}" for topic, _ in alike(topics))]
 
 
@@ -144,20 +144,20 @@ def alike(counts: Counter[str]) -> list[tuple[str, int]]:
 
 def tick_length(reader: LogReader) -> int:
     """Ts [ns] of a log as far as it was read; 0 if it states none."""
-    return _stated(reader, "tick_ns")
+    return _stated_number(reader, "tick_ns")
 
 
 def begin_ns(reader: LogReader) -> int:
     """When the run of a log begins, from the part that was read; above 0 if it continues another."""
-    return min(_stated(reader, FROM_TICK) * tick_length(reader), 2**63 - 1)
+    return min(_stated_number(reader, FROM_TICK) * tick_length(reader), 2**63 - 1)
 
 
-def _stated(reader: LogReader, key: str) -> int:
+def _stated_number(reader: LogReader, key: str) -> int:
     text = reader.metadata.get("run", {}).get(key, "0")
     return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
 
 
-def _declared(reader: LogReader) -> dict[str, tuple[Any, ...]]:
+def _declarations(reader: LogReader) -> dict[str, tuple[Any, ...]]:
     found: dict[str, tuple[Any, ...]] = {}
     for channel in reader.channels.values():
         schema = reader.schemas.get(channel.schema_id)
@@ -173,7 +173,7 @@ def same(a: FieldValue | None, b: FieldValue | None) -> bool:
     return bool(a.value == b.value or (a.value != a.value and b.value != b.value))
 
 
-def _shown(value: FieldValue | None) -> str:
+def _show(value: FieldValue | None) -> str:
     if value is None:
         return "-"
     return _bytes(value.value) if isinstance(value.value, bytes) else repr(value.value)

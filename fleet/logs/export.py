@@ -24,7 +24,7 @@ from fleet.errors import FleetError
 from fleet.logs.columns import objects
 from fleet.logs.dataset import EXTRA, dataset, frame_attributes
 from fleet.logs.open_log import Log
-from fleet.logs.table import TableColumn, columns, fits, need
+from fleet.logs.table import TableColumn, columns, fits, require
 from fleet.logs.topic import Topic
 from fleet.mcap.reader import LogReader, OnProgress
 from fleet.mcap.records import Array, Block
@@ -46,7 +46,7 @@ def export(log: Log, folder: Path, form: str, *, force: bool = False, share: OnP
     they are.
     """
     suffix, sheet_of, name, packages, extra = _FORMS[form]
-    need(name, packages, extra)
+    require(name, packages, extra)
     topics = [name for name in log if fits(log[name])]
     left_out = [name for name in log if len(log[name]) and name not in topics]
     paths = {name: folder / f"{plain}.{suffix}" for name, plain in file_names(topics).items()}
@@ -252,7 +252,7 @@ class NetcdfSheet(Sheet):
         if not self._parts:
             return
         whole = [
-            column._replace(values=_of_netcdf(np.concatenate([part[k].values for part in self._parts])))
+            column._replace(values=_to_netcdf(np.concatenate([part[k].values for part in self._parts])))
             for k, column in enumerate(self._parts[0])
         ]
         found = dataset(self.topic, whole, self._run)
@@ -306,7 +306,7 @@ def _plain(values: Array) -> Iterable[Any]:
     return found
 
 
-def _of_netcdf(values: Array) -> Array:
+def _to_netcdf(values: Array) -> Array:
     """The same in a type of NetCDF-3, which has no integers of 64 bits."""
     if values.dtype == np.int64 and np.any(np.abs(values) > np.iinfo(np.int32).max):
         return values.astype(np.float64)

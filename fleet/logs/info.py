@@ -57,7 +57,7 @@ def read_info(path: Path, on_progress: OnProgress = lambda _: None) -> Info:
         earliest = int(block.log_ns.min())
         first = earliest if first is None else min(first, earliest)
         last = max(last, int(block.log_ns.max()))
-        for record in reader.within(block, ["faults"]):
+        for record in reader.select(block, ["faults"]):
             held += len(record.data)
             if len(happened) < LOG_FAULTS.items and held <= LOG_FAULTS.bytes:
                 happened.append(record)
@@ -106,14 +106,14 @@ def info_text(info: Info) -> str:
         lines += [f"  {key:<10} {value}" for key, value in info.run.items() if key != "graph"]
     else:
         lines.append("not a log of uuv-fleet: it says nothing of a run")
-    lines += _happened(info)
-    rows = _folded(info.topics) if len(info.topics) > MOST_TOPICS else info.topics
+    lines += _event_lines(info)
+    rows = _fold_topics(info.topics) if len(info.topics) > MOST_TOPICS else info.topics
     width = max((len(topic) for topic in rows if len(topic) <= _WIDTH), default=0)
     lines += [f"  {topic:<{width}}  {count:>8}  {schema}" for topic, (schema, count) in rows.items()]
     return "\n".join(map(printable, lines))  # a line break in a name of others begins no line
 
 
-def _happened(info: Info) -> list[str]:
+def _event_lines(info: Info) -> list[str]:
     lines = []
     if info.unread:
         limits = f"the first {LOG_FAULTS.items}, or {LOG_FAULTS.bytes >> 20} MiB, of them"
@@ -126,7 +126,7 @@ def _happened(info: Info) -> list[str]:
     return lines
 
 
-def _folded(topics: dict[str, tuple[str, int]]) -> dict[str, tuple[str, int]]:
+def _fold_topics(topics: dict[str, tuple[str, int]]) -> dict[str, tuple[str, int]]:
     """Topics that differ by numbers alone, `uuv/1/pose` and `uuv/2/pose`, as one with all their messages."""
     alike: dict[str, list[str]] = {}
     for topic in topics:

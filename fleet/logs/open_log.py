@@ -46,14 +46,14 @@ class Part(NamedTuple):
     end: float = inf
     every: int = 1
 
-    def within(self, block: Block) -> Block:
+    def clip_to_time(self, block: Block) -> Block:
         """Those of the time."""
         if self.start <= 0.0 and self.end == inf:
             return block
         t = block.log_ns / 1e9
         return block.take((t >= self.start) & (t <= self.end))
 
-    def thinned(self, block: Block, seen: int) -> Block:
+    def thin_out(self, block: Block, seen: int) -> Block:
         """The messages to keep of one topic's messages within the time; `seen` messages came before."""
         return block if self.every == 1 else block.take(np.arange(-seen % self.every, len(block), self.every))
 
@@ -332,7 +332,7 @@ class Opening:
         reader = LogReader(self.path, self.share)
         total = None if self.drawn is None else Digest()  # a picture says of which log it is
         plain = self.drawn is None and self.part == ALL
-        for block in reader.gathered(_AT_ONCE):
+        for block in reader.gather_blocks(_AT_ONCE):
             if total is not None:
                 total.add_block(block, reader.topics_of(block))
             if plain and self.topics is None and log_size(self.path) > self.most_held:
@@ -387,11 +387,11 @@ class Opening:
         return Topic(name, channel, reader.schemas.get(channel.schema_id), self._fetch, self.most_held)
 
     def _of(self, reader: LogReader, block: Block) -> Iterator[tuple[str, Block]]:
-        for number, some in self.part.within(block).by_channel():
+        for number, some in self.part.clip_to_time(block).by_channel():
             name = reader.channels[number].topic
             if is_attachment(reader.channels[number]):
                 continue
-            kept = self.part.thinned(some, self._seen[name])
+            kept = self.part.thin_out(some, self._seen[name])
             self._seen[name] += len(some)
             if len(kept):
                 yield name, kept
@@ -429,7 +429,7 @@ class Opening:
             self._held.pop(0).drop()
         reader = LogReader(self.path, self.share)
         self._seen.clear()
-        for block in reader.gathered(_AT_ONCE):
+        for block in reader.gather_blocks(_AT_ONCE):
             its = [number for number, channel in reader.channels.items() if channel.topic == topic.name]
             for _, some in self._of(reader, block.take(np.isin(block.channel, np.array(its, np.uint16)))):
                 topic.add(some)

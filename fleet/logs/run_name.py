@@ -17,7 +17,7 @@ def run_name(log: Path) -> str:
     return path.parent.name if path.name == "run.mcap" else path.stem
 
 
-def begun_at(name: str) -> datetime | None:
+def begin_time(name: str) -> datetime | None:
     """When the run of a name began, in UTC; None: the name does not say it, because somebody gave it another one."""
     found = RUN_NAME.fullmatch(name)
     try:

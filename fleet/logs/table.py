@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     pass
 
 
-def need(what: str, packages: tuple[str, ...], extra: str) -> None:
+def require(what: str, packages: tuple[str, ...], extra: str) -> None:
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
         listed = f"{', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed"

@@ -10,7 +10,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from fleet.logs.columns import Columnizer, Columns, cost, extremes, joined
-from fleet.logs.decoder import declared_by
+from fleet.logs.decoder import field_meanings
 from fleet.mcap.other import MadeColumns, columns_of
 from fleet.mcap.reader import LogReadError
 from fleet.mcap.records import Array, Block
@@ -69,7 +69,7 @@ class Topic:
         protobuf = schema is not None and channel.message_encoding == schema.encoding == "protobuf"
         self._declared = schema if protobuf else None
         self._foreign = None if protobuf or schema is None else (channel.message_encoding, schema)
-        self._declarations = declared_by(channel)
+        self._declarations = field_meanings(channel)
         self.fields_kept: frozenset[str] | None = None  # None: all
         self._columnizer: Columnizer | MadeColumns | None = None
         self.drop()

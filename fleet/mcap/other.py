@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Protocol
 from mcap.records import Schema
 
 from fleet.addon import leave_out, parts
-from fleet.errors import FleetError, in_words
+from fleet.errors import FleetError, describe_error
 from netem.private_folder import PrivateFolder
 
 
@@ -121,7 +121,7 @@ class OtherData(ABC):
         return None
 
 
-def known_as(path: Path) -> OtherData | None:
+def find_other_data(path: Path) -> OtherData | None:
     """What knows a file or a directory.
 
     Args:
@@ -137,7 +137,7 @@ def known_as(path: Path) -> OtherData | None:
         except OSError:
             continue  # a name that is too long, a folder of others: the command itself tells it
         except Exception as error:
-            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"recognises: {in_words(error)}")
+            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"recognises: {describe_error(error)}")
     return None
 
 
@@ -148,7 +148,7 @@ def columns_of(topic: str, encoding: str, schema: Schema, fields: frozenset[str]
             if (found := made.columns(topic, encoding, schema, fields)) is not None:
                 return found  # type: ignore[no-any-return]
         except Exception as error:
-            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"columns: {in_words(error)}")
+            leave_out(f"{type(made).__module__}:{type(made).__name__}", f"columns: {describe_error(error)}")
     return None
 
 
@@ -161,7 +161,7 @@ def other_data(path: Path) -> OtherData | None:
     Returns:
         Its kind; None: it is a log, or no add-on knows it.
     """
-    found = known_as(path)
+    found = find_other_data(path)
     return None if found is None or found.is_log else found
 
 
@@ -177,16 +177,16 @@ def as_mcap(path: Path) -> Path | None:
     Raises:
         FleetError: it cannot be read.
     """
-    found = known_as(path)
+    found = find_other_data(path)
     if found is None or not found.is_log:
         return None
-    return _converted(found, path.absolute(), path.stat().st_mtime_ns)
+    return _convert(found, path.absolute(), path.stat().st_mtime_ns)
 
 
 _MADE: dict[tuple[Path, int], Path] = {}  # by what was named, and when that changed: commands ask more than once
 
 
-def _converted(kind: OtherData, path: Path, changed_ns: int) -> Path:
+def _convert(kind: OtherData, path: Path, changed_ns: int) -> Path:
     if (path, changed_ns) not in _MADE:
         folder = PrivateFolder("log")
         atexit.register(folder.close)

@@ -87,9 +87,9 @@ class LogReader:
     def of(self, topics: Collection[str]) -> Iterator[Record]:
         """Only the messages of these topics; the others are skipped quickly. Raises the same errors as iteration."""
         for block in self.blocks():
-            yield from self.within(block, topics)
+            yield from self.select(block, topics)
 
-    def within(self, block: Block, topics: Collection[str]) -> Iterator[Record]:
+    def select(self, block: Block, topics: Collection[str]) -> Iterator[Record]:
         """The messages of these topics in one block."""
         some = [number for number in np.unique(block.channel).tolist() if self.channels[number].topic in topics]
         if some:
@@ -160,7 +160,7 @@ class LogReader:
             numbers[item.id] = self._known[what] = number
         return item if item.id == numbers[item.id] else replace(item, id=numbers[item.id])
 
-    def gathered(self, most: int) -> Iterator[Block]:
+    def gather_blocks(self, most: int) -> Iterator[Block]:
         """The blocks of `blocks`, a few as one: `most` bytes of data, if each has fewer."""
         some: list[Block] = []
         size = 0
@@ -217,7 +217,7 @@ def _size(entries: Mapping[str, str]) -> int:
 def missing(salvage: Salvage) -> str:
     """A text that says what is missing in a file; "" if it is complete. The iteration of `salvage` must be over."""
     if salvage.damage:
-        return f"{salvage.damage[0]}; reading stopped before it" if not salvage.beyond else lost(salvage)
+        return f"{salvage.damage[0]}; reading stopped before it" if not salvage.beyond else describe_loss(salvage)
     if salvage.cut:
         return "the file is cut: the run was killed while it was written, or it is still going on"
     if salvage.stated is not None and salvage.indexed and salvage.stated != salvage.messages:
@@ -225,7 +225,7 @@ def missing(salvage: Salvage) -> str:
     return "" if salvage.indexed else "the index is missing or damaged"
 
 
-def lost(salvage: Salvage) -> str:
+def describe_loss(salvage: Salvage) -> str:
     """A text that says what is lost in a file that was read beyond its damage; "" if no message is lost."""
     places = [str(damage) for damage in salvage.damage]
     if salvage.cut or not salvage.ended:
@@ -357,12 +357,14 @@ def open_any(path: Path) -> IO[bytes]:
             raise LogReadError(f"cannot read {path}: it is no file")
         return path.open("rb")
     except FileNotFoundError as error:
-        raise LogReadError(_without_log(path) or f"cannot read {path}: {error.strerror}; {_WHAT_IT_IS}") from error
+        raise LogReadError(
+            _explain_missing_log(path) or f"cannot read {path}: {error.strerror}; {_WHAT_IT_IS}"
+        ) from error
     except OSError as error:
         raise LogReadError(f"cannot read {path}: {error.strerror}") from error
 
 
-def _without_log(path: Path) -> str:
+def _explain_missing_log(path: Path) -> str:
     """What to say of a log that is not there because its run was to write none; "" if it was not."""
     scenario = path.with_name("scenario.yaml")
     try:

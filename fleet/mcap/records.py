@@ -91,7 +91,11 @@ class Block:
         """All payloads, one behind the other."""
         lengths = self.end - self.begin
         if len(lengths) and lengths[0] < _SHORT and (lengths == lengths[0]).all():
-            return _at(self.data, self.begin, np.dtype((np.void, int(lengths[0])))).tobytes() if lengths[0] else b""
+            return (
+                _take_items(self.data, self.begin, np.dtype((np.void, int(lengths[0])))).tobytes()
+                if lengths[0]
+                else b""
+            )
         view = memoryview(self.data)
         return b"".join([view[a:b] for a, b in zip(self.begin.tolist(), self.end.tolist(), strict=True)])
 
@@ -180,14 +184,14 @@ def _items(offset: int, data: bytes, begin: Array, end: Array) -> Iterator[Block
 
 
 def _block(offset: int, data: bytes, begin: Array, end: Array) -> Block:
-    records = _at(data, begin, _RECORD)
+    records = _take_items(data, begin, _RECORD)
     channel, sequence, log_ns, publish_ns = (
         np.ascontiguousarray(records[name]) for name in ("channel", "sequence", "log_ns", "publish_ns")
     )
     return Block(offset, data, channel, sequence, log_ns, publish_ns, begin + _RECORD.itemsize, end)
 
 
-def _at(data: bytes, places: Array, kind: np.dtype[Any]) -> Array:
+def _take_items(data: bytes, places: Array, kind: np.dtype[Any]) -> Array:
     """The items of one type that begin at these places in `data`. Every item must lie within `data`."""
     every = np.ndarray((len(data) - kind.itemsize + 1,), kind, data, strides=(1,))
     return every[places]

@@ -15,7 +15,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from fleet.errors import FleetError
 from fleet.mcap.other import Recovered
-from fleet.mcap.reader import GAPS, LOST, RECOVERY, OnProgress, log_files, log_path, lost, open_any
+from fleet.mcap.reader import GAPS, LOST, RECOVERY, OnProgress, describe_loss, log_files, log_path, open_any
 from fleet.mcap.records import LIBRARY, MAGIC, Block, Message
 from fleet.mcap.salvage import ChunkEnd, Item, Salvage
 from fleet.mcap.writer import McapWriter
@@ -61,13 +61,13 @@ def _copy(path: Path, out: Path, salvage: Salvage, target: IO[bytes], magic: boo
             gaps.append(found.messages)
             damaged = len(salvage.damage)
         for message in item.messages():
-            if not known and not copy.declared(message):
+            if not known and not copy.knows_channel(message):
                 known = True  # the chunk that declared it is damaged: the index repeats it
                 for declaration in salvage.declarations():
                     copy.take(declaration)
             copy.message(message)
     found.places = [str(damage) for damage in salvage.damage]
-    gone = [*(["the first bytes (they are not those of MCAP)"] if not magic else []), lost(salvage)]
+    gone = [*(["the first bytes (they are not those of MCAP)"] if not magic else []), describe_loss(salvage)]
     if found.undeclared:
         gone.append(f"{found.undeclared} messages on channels whose declaration is gone")
     found.lost = "; ".join(part for part in gone if part)
@@ -123,7 +123,7 @@ class Copy:
         self.last_ns = max(self.last_ns, message.log_ns)
         self._found.until_s = self.last_ns / 1e9
 
-    def declared(self, message: Message) -> bool:
+    def knows_channel(self, message: Message) -> bool:
         """Whether its channel is known."""
         return message.channel in self._channels
 

@@ -2,8 +2,8 @@
 
 One pass over the log checks it and divides it into pieces (a chunk, or many small ones). It notes the place of each
 piece, its number of messages by channel, and its first time. A piece is unpacked again when one of its messages is
-wanted. If messages are out of order, a second pass notes the time and place of each, and the tape has other pieces than
-the file. The tape ends before the first place that cannot be read, and `missing` says what is missing.
+wanted. If messages are out of order, a second pass notes the time and place of each, and this log has other pieces than
+the file. It ends before the first place that cannot be read, and `missing` says what is missing.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class SeekableLog:
         reader = LogReader(path, on_progress)
         self._pieces: list[_Piece] = []
         self._order: Array | None = None  # numbers in the order of the file; None: that is in the order of time
-        self.firsts = array("Q")  # number of the first message of each stretch of the tape
+        self.firsts = array("Q")  # number of the first message of each stretch
         self._dues = array("Q")  # when that is due
         self.counts: list[tuple[Array, Array]] = []  # channels of each stretch, and how many messages
         self._open: OrderedDict[int, Block] = OrderedDict()  # by number of the piece, and below 0 of the stretch
@@ -101,7 +101,7 @@ class SeekableLog:
         self.counts.append((kinds, counts.astype(np.uint32)))
 
     def _sort(self, on_progress: OnProgress) -> None:
-        """Divide the tape into stretches of messages in the order of time, wherever in the file they are."""
+        """Divide the log into stretches of messages in the order of time, wherever in the file they are."""
         some = [(one.log_ns, one.channel, one.end - one.begin) for one in LogReader(self.path, on_progress).blocks()]
         log_ns, channel, size = (np.concatenate(column) for column in zip(*some, strict=True))
         if len(log_ns) != self._total:
@@ -198,14 +198,14 @@ class SeekableLog:
 
 
 class Track:
-    """The messages of some channels of a tape, by their numbers among themselves, with the times when they are due."""
+    """The messages of some channels of a log, by their numbers among themselves, with the times when they are due."""
 
-    def __init__(self, tape: SeekableLog, channels: Collection[int]) -> None:
-        self._tape = tape
+    def __init__(self, log: SeekableLog, channels: Collection[int]) -> None:
+        self._log = log
         self._channels = np.fromiter(channels, np.uint16, len(channels))
         self._firsts = array("Q")
         total = 0
-        for kinds, counts in tape.counts:
+        for kinds, counts in log.counts:
             self._firsts.append(total)
             total += int(counts[np.isin(kinds, self._channels)].sum())
         self._total = total
@@ -220,17 +220,17 @@ class Track:
         return int(self._of(k)[1][within])
 
     def entries(self, some: range) -> Iterator[tuple[int, Entry]]:
-        """Messages that follow on one another, each with its number on the tape."""
+        """Messages that follow on one another, each with its number in the log."""
         at = some.start
         while at < some.stop:
             k, within = self._place(at)
             numbers = self._of(k)[0][within : within + some.stop - at]
-            yield from zip((numbers + self._tape.firsts[k]).tolist(), self._tape.entries(k, numbers), strict=True)
+            yield from zip((numbers + self._log.firsts[k]).tolist(), self._log.entries(k, numbers), strict=True)
             at += len(numbers)
 
     def before(self, ns: int) -> int:
         """How many are due before a time."""
-        k = self._tape.stretch_before(ns)
+        k = self._log.stretch_before(ns)
         if k < 0:
             return 0
         return self._firsts[k] + int(np.searchsorted(self._of(k)[1], np.uint64(min(max(ns, 0), _LATEST))))
@@ -244,7 +244,7 @@ class Track:
     def _of(self, k: int) -> tuple[Array, Array]:
         """Numbers within a stretch, and due times, of the chosen messages."""
         if k not in self._chosen:
-            stretch = self._tape.stretch(k)
+            stretch = self._log.stretch(k)
             numbers = np.flatnonzero(np.isin(stretch.channel, self._channels))
             self._chosen[k] = numbers, stretch.log_ns[numbers]
             if len(self._chosen) > _CHOSEN:

@@ -127,17 +127,17 @@ class McapWriter:
         summary = bytearray()
         offsets: list[SummaryOffset] = []
         for opcode, group in (
-            (Opcode.SCHEMA, _packed(self._schemas)),
-            (Opcode.CHANNEL, _packed(self._channels)),
-            (Opcode.STATISTICS, _packed([self._statistics()])),
+            (Opcode.SCHEMA, _pack(self._schemas)),
+            (Opcode.CHANNEL, _pack(self._channels)),
+            (Opcode.STATISTICS, _pack([self._statistics()])),
             (Opcode.CHUNK_INDEX, b"".join(self._chunks)),
-            (Opcode.ATTACHMENT_INDEX, _packed(self._attachments)),
-            (Opcode.METADATA_INDEX, _packed(self._metadata)),
+            (Opcode.ATTACHMENT_INDEX, _pack(self._attachments)),
+            (Opcode.METADATA_INDEX, _pack(self._metadata)),
         ):
             offsets.append(SummaryOffset(opcode, begin + len(summary), len(group)))
             summary += group
         offset_begin = begin + len(summary)
-        summary += _packed(offsets)
+        summary += _pack(offsets)
         crc = zlib.crc32(_FOOTER(Opcode.FOOTER, 20, begin, offset_begin), zlib.crc32(summary))
         self._target.write(summary)
         self._write(Footer(begin, offset_begin, crc))
@@ -146,12 +146,12 @@ class McapWriter:
     def _write(self, record: McapRecord) -> tuple[int, int]:
         """Write a record that is in no chunk; where it begins, and its length."""
         offset = self._target.tell()
-        data = _packed([record])
+        data = _pack([record])
         self._target.write(data)
         return offset, len(data)
 
     def _declare(self, record: McapRecord) -> None:
-        self._chunk += _packed([record])
+        self._chunk += _pack([record])
         if len(self._chunk) > CHUNK_BYTES:
             self._end_chunk()
 
@@ -184,7 +184,7 @@ class McapWriter:
         )
 
 
-def _packed(records: Iterable[McapRecord]) -> bytes:
+def _pack(records: Iterable[McapRecord]) -> bytes:
     builder = RecordBuilder()
     for record in records:
         record.write(builder)

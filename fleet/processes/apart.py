@@ -24,7 +24,7 @@ def can_copy() -> bool:
     return len(os.listdir("/proc/self/task")) == 1
 
 
-def apart(make: Callable[[], R]) -> R:
+def in_child_process(make: Callable[[], R]) -> R:
     """What a function returns, called in a copy of this process.
 
     Args:
@@ -62,7 +62,7 @@ def apart(make: Callable[[], R]) -> R:
     finally:
         _, status = os.waitpid(pid, 0)
     if not data:
-        raise RunBroken(f"the copy of a run ended without an answer ({_ended(status)}); is there enough memory?")
+        raise RunBroken(f"the copy of a run ended without an answer ({_describe_end(status)}); is there enough memory?")
     failed, value = pickle.loads(data)
     if failed:
         raise value
@@ -77,7 +77,7 @@ def _answer(writing: int, parent: int, make: Callable[[], Any]) -> None:
         try:
             data = pickle.dumps((False, make()))
         except Exception as error:
-            data = _packed(error)
+            data = _pack_error(error)
         with os.fdopen(writing, "wb") as answer:
             answer.write(data)
         os._exit(0)
@@ -85,7 +85,7 @@ def _answer(writing: int, parent: int, make: Callable[[], Any]) -> None:
         os._exit(1)
 
 
-def _packed(error: Exception) -> bytes:
+def _pack_error(error: Exception) -> bytes:
     """An exception for the parent. If it cannot travel, its text does."""
     try:
         data = pickle.dumps((True, error))
@@ -95,6 +95,6 @@ def _packed(error: Exception) -> bytes:
     return data
 
 
-def _ended(status: int) -> str:
+def _describe_end(status: int) -> str:
     code = os.waitstatus_to_exitcode(status)
     return f"signal {-code}" if code < 0 else f"exit status {code}"

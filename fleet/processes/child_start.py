@@ -61,6 +61,6 @@ def children_ignore_the_folder() -> None:
     os.environ[_SAFE_PATH] = os.environ.get(_SAFE_PATH) or _OURS
 
 
-def for_programs(environment: Mapping[str, str]) -> dict[str, str]:
+def program_environment(environment: Mapping[str, str]) -> dict[str, str]:
     """An environment as programs of the user get it: theirs import modules that lie beside them."""
     return {name: value for name, value in environment.items() if (name, value) != (_SAFE_PATH, _OURS)}

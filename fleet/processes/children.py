@@ -128,10 +128,10 @@ class Children:
         processes = [child.process for child in self.by_role.values()]
         for process in processes:
             process.terminate()
-        remaining = _left(processes)
+        remaining = _wait_for_end(processes)
         for process in remaining:
             process.kill()
-        if _left(remaining):
+        if _wait_for_end(remaining):
             _kill_forkserver()
         for process in processes:
             process.join(GRACE_S)
@@ -178,7 +178,7 @@ def _forkserver_starting(modules: str | None = None) -> Iterator[None]:
         yield
 
 
-def _left(processes: list[BaseProcess]) -> list[BaseProcess]:
+def _wait_for_end(processes: list[BaseProcess]) -> list[BaseProcess]:
     remaining: dict[Any, BaseProcess] = {process.sentinel: process for process in processes}
     while remaining and (ended := wait(list(remaining), timeout=GRACE_S)):
         for sentinel in ended:
@@ -204,7 +204,7 @@ def _bounded_wait() -> Iterator[None]:
 
     def give_up() -> None:
         pid = _forkserver_pid()
-        how = "is suspended" if pid and suspended(pid) else "does not answer"
+        how = "is suspended" if pid and is_suspended(pid) else "does not answer"
         why.append(f"the fork server (pid {pid}) {how}, for {START_S:g} s now")
         _kill_forkserver()  # the thread that waits for its answer gets an end of file
 
@@ -254,15 +254,15 @@ def forkserver_death(patience_s: float = 0.0) -> str | None:
 def forkserver_suspended() -> str:
     """Words that the fork server, which reports all ends, is suspended; empty: it is not."""
     pid = _forkserver_pid()
-    return f"the fork server (pid {pid}) is suspended" if pid is not None and suspended(pid) else ""
+    return f"the fork server (pid {pid}) is suspended" if pid is not None and is_suspended(pid) else ""
 
 
-def suspended(pid: int) -> bool:
+def is_suspended(pid: int) -> bool:
     """Whether a process is stopped, by a forgotten SIGSTOP for instance."""
     return _status(pid) in ("stopped", "tracing-stop")
 
 
-def ended(pid: int) -> bool:
+def has_ended(pid: int) -> bool:
     """Whether a process has ended and was not reaped."""
     return _status(pid) == "zombie"
 

@@ -61,14 +61,14 @@ def out_of_reach() -> Iterator[None]:
     from multiprocessing import resource_tracker  # --help needs it not
 
     # The tracker is started by the first process of multiprocessing, and that lifts the block of SIGINT.
-    with _blocked(signal.SIGHUP):
+    with _block_signals(signal.SIGHUP):
         resource_tracker.ensure_running()
-    with _blocked(signal.SIGINT, signal.SIGHUP):
+    with _block_signals(signal.SIGINT, signal.SIGHUP):
         yield
 
 
 @contextmanager
-def _blocked(*signals: signal.Signals) -> Iterator[None]:
+def _block_signals(*signals: signal.Signals) -> Iterator[None]:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield

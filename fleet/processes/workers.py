@@ -191,7 +191,7 @@ class _Worker:
         """Take what it says: whether it had begun with its job, and what came of it; None: it goes on."""
         try:
             if self.connection.poll():
-                what, *value = _unpacked(self.connection.recv_bytes())
+                what, *value = _unpack(self.connection.recv_bytes())
                 if what == _READY:
                     self._ready = True
                     self._send()
@@ -256,14 +256,14 @@ def _work(connection: Connection, parent: int, begin: Callable[[], None] | None)
             connection.send_bytes(pickle.dumps((_BEGUN,)))
             answer = pickle.dumps((_DONE, function(item)))
         except BaseException as error:  # SystemExit of a law, too: the parent says what becomes of it
-            answer = _packed(error)
+            answer = _pack_error(error)
         try:
             connection.send_bytes(answer)
         except OSError:
             return
 
 
-def _unpacked(data: bytes) -> Any:
+def _unpack(data: bytes) -> Any:
     """A worker's answer. If only the worker knows its class, the result is an exception that says so."""
     try:
         return pickle.loads(data)
@@ -271,7 +271,7 @@ def _unpacked(data: bytes) -> Any:
         return _FAILED, RuntimeError(f"what the worker answered is not known here: {error!s:.500}")
 
 
-def _packed(error: BaseException) -> bytes:
+def _pack_error(error: BaseException) -> bytes:
     """An exception for the parent. If it cannot travel, its text does."""
     try:
         data = pickle.dumps((_FAILED, error))

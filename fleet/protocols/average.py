@@ -22,7 +22,7 @@ from random import Random
 from typing import Any
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Signal, Telemetry, Vec3, pack
-from fleet.protocols.received import is_count, is_real, received
+from fleet.protocols.received import is_count, is_real, valid_messages
 
 NAIVE, EXACT = "average/naive", "average/exact"  # kinds of messages
 MOST = 1e6  # degC: what is larger is no measurement
@@ -59,7 +59,7 @@ class NaiveAverage:
         """Steer as the formation asks, and keep what arrives."""
         deliveries = list(deliveries)
         tau, _ = self._formation.decide(nav, deliveries)
-        messages, refused = received(NAIVE, deliveries, self._is_valid)
+        messages, refused = valid_messages(NAIVE, deliveries, self._is_valid)
         self._refused += refused
         for delivery, (degree, average) in messages:
             self._heard[delivery.src] = (degree, average)
@@ -133,7 +133,7 @@ class ExactAverage:
         self._begin(nav.tick)
         deliveries = list(deliveries)
         tau, _ = self._formation.decide(nav, deliveries)
-        messages, refused = received(EXACT, deliveries, self._is_valid)
+        messages, refused = valid_messages(EXACT, deliveries, self._is_valid)
         self._refused += refused
         for delivery, (degree, sums) in messages:
             self._absorb(delivery, degree, sums)

@@ -21,7 +21,7 @@ from typing import Any
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Motion, Nav, Signal, Telemetry, Vec3, pack
 from fleet.protocols.bidder import NOBODY, Bidder, News
-from fleet.protocols.received import is_count, is_real, received
+from fleet.protocols.received import is_count, is_real, valid_messages
 
 KIND = "bundle-auction"
 MOST_PLACES = 32
@@ -117,7 +117,7 @@ class BundleAuction:
 
     def _hear(self, deliveries: Iterable[Delivery]) -> bool:
         """Take in the messages of neighbours; what cannot be is refused and counted. Returns whether there were any."""
-        messages, refused = received(KIND, deliveries, self._valid)
+        messages, refused = valid_messages(KIND, deliveries, self._valid)
         self._refused += refused
         for delivery, (bids, winners, heard, done) in messages:
             self._bidder.hear(delivery.src, News(bids, winners, dict(heard)))

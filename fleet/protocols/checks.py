@@ -140,7 +140,7 @@ class TrueMean:
                 self._worst = max(map(abs, off)), tick.t
             if max(map(abs, off)) >= self._below:
                 those = tuple(i for i, each in zip(side, off, strict=True) if abs(each) >= self._below)
-                text = f"the mean of vehicles {_shown(side)} is {mean:.6g} degC, and their averages are off by up to"
+                text = f"the mean of vehicles {_show(side)} is {mean:.6g} degC, and their averages are off by up to"
                 values = {"mean [degC]": mean, "sum of all errors [degC]": sum(off)}
                 return Failure(f"{text} {max(off, key=abs):.3g} degC", those, values)
             worst = max(worst, *map(abs, off))
@@ -197,8 +197,8 @@ class AtMostOneLeader:
                     self._gap = min(self._gap, (gap, tick.t))
                 self._led[group] = of_these[0], tick.t
             if len(of_these) > 1 and tick.t - self._sides.since >= self._grace:
-                where = f"of the side {_shown(group)} " if self._per_side else ""
-                silent = _shown(tuple(i for i in of_these if i in self._sides.suspended))
+                where = f"of the side {_show(group)} " if self._per_side else ""
+                silent = _show(tuple(i for i in of_these if i in self._sides.suspended))
                 more = f"; {silent} by its last report, since it is suspended" if silent else ""
                 return Failure(f"{len(of_these)} vehicles {where}lead at once{more}", of_these)
         return None
@@ -288,5 +288,5 @@ def _ahead(vehicle: Vehicle) -> float:
         return 0.0
 
 
-def _shown(vehicles: tuple[int, ...]) -> str:
+def _show(vehicles: tuple[int, ...]) -> str:
     return ", ".join(map(str, vehicles))

@@ -24,7 +24,7 @@ from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Signal, Telemetry, Vec3, pack
-from fleet.protocols.received import is_count, received
+from fleet.protocols.received import is_count, valid_messages
 
 RECORDS = "election"  # kind of its messages
 NOBODY = 0
@@ -79,7 +79,7 @@ class Election:
         """Steer as the formation asks, take the records that arrive, and see who leads."""
         deliveries = list(deliveries)
         tau, _ = self._formation.decide(nav, deliveries)
-        messages, refused = received(RECORDS, deliveries, self._is_valid)
+        messages, refused = valid_messages(RECORDS, deliveries, self._is_valid)
         self._refused += refused
         for _, records in messages:
             for i, *values in records:

@@ -8,7 +8,7 @@ from typing import Any
 from agents.api import Delivery, PayloadError, unpack
 
 
-def received(
+def valid_messages(
     kind: str, deliveries: Iterable[Delivery], valid: Callable[[Any, Delivery], bool]
 ) -> tuple[list[tuple[Delivery, Any]], int]:
     """The valid messages of one kind. `kind`: the kind of message, as given to `agents.api.pack`. `valid`: returns

@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from typing import Any, Literal
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Signal, Telemetry, Vec3, pack
-from fleet.protocols.received import is_count, received
+from fleet.protocols.received import is_count, valid_messages
 
 KIND = "roll-call"
 _MOST_PHASES = 1_000_000
@@ -64,7 +64,7 @@ class RollCall:
         """Steer like the formation agent. Take the phases that arrive, and enter the next phase if enough answered."""
         deliveries = list(deliveries)
         tau, _ = self._formation.decide(nav, deliveries)
-        messages, refused = received(KIND, deliveries, self._is_valid)
+        messages, refused = valid_messages(KIND, deliveries, self._is_valid)
         self._refused += refused
         for _, phases in messages:
             for i, phase in phases:

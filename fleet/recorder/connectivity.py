@@ -67,7 +67,7 @@ class Connectivity:
         return set(self._wanted) <= set(self._roots)
 
     @classmethod
-    def asked(cls, scenario: Scenario) -> Connectivity | None:
+    def from_scenario(cls, scenario: Scenario) -> Connectivity | None:
         """The input that the scenario's check needs; None if it has no such check."""
         check = scenario.spec.checks.connected
         if check is None:

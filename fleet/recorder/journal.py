@@ -68,8 +68,8 @@ class Journal:
         self.metrics = Metrics(scenario)
         self.ledger = Ledger(scenario.graph.links)
         self.ages = Ages(scenario.graph.links, from_first_packet=bool(scenario.nodes))
-        self.separation = Separation.asked(scenario)
-        self.connectivity = Connectivity.asked(scenario)
+        self.separation = Separation.from_scenario(scenario)
+        self.connectivity = Connectivity.from_scenario(scenario)
         self.failures = ProgramFailures()
         self.happened: list[Event] = []  # events that are written already
         self.begin = 0  # the tick at which the run begins; another one if it goes on from another run
@@ -146,7 +146,7 @@ class Journal:
         if frame.more:
             return
         self.framed = frame.tick
-        self._frames.append(frame if len(self._parts) == 1 else _joined(self._parts))
+        self._frames.append(frame if len(self._parts) == 1 else _join_parts(self._parts))
         self._parts = []
         self._write()
 
@@ -284,7 +284,7 @@ class Journal:
             self.log.packet(fate)
 
 
-def _joined(parts: list[Frame]) -> Frame:
+def _join_parts(parts: list[Frame]) -> Frame:
     return structs.replace(
         parts[-1],
         vehicles=tuple(row for part in parts for row in part.vehicles),

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from agents.offset import Offset
 from agents.signals import SignalLayout
-from fleet.recorder.settling import below_from, least_s, settling_time, stayed
+from fleet.recorder.settling import first_settled, is_long_enough, least_s, settling_time
 from fleet.result.result import Formation, SignalValue, VehicleResult
 from fleet.scenario.scenario import Scenario, frame_every
 from fleet.scenario.sections.signal_checks import checked_signals
@@ -185,7 +185,9 @@ class Metrics:
         """How often the gain's optimisation failed, of each vehicle whose law counts that."""
         return {i: s.qp_failures for i, s in self.series.items() if self._vehicles[i].places.failures is not None}
 
-    def settled(self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None) -> Settled:
+    def find_settled(
+        self, what: str, span: tuple[int, int], limit: float, vehicles: list[int] | None = None
+    ) -> Settled:
         """When `e` or `formation` of every vehicle, or of some, settled below a limit [m] in a span: first tick, behind
         the last.
         """
@@ -198,7 +200,7 @@ class Metrics:
             if vehicles is not None and i not in vehicles:
                 continue
             values = getattr(series, what)
-            first = below_from(values, limit, frames.start, frames.stop)
+            first = first_settled(values, limit, frames.start, frames.stop)
             if first > last:
                 last, slowest = first, i
             if not values[frames[-1]] <= farthest[0]:
@@ -206,7 +208,7 @@ class Metrics:
         least = least_s(self._disturbance, self.times[frames[-1]] - span[0] * self._tick_s)
         if last == frames.stop:
             return Settled(None, farthest[1], farthest[0], least)
-        at_s = self.times[last] if stayed(self.times, last, frames.stop, least) else None
+        at_s = self.times[last] if is_long_enough(self.times, last, frames.stop, least) else None
         return Settled(at_s, slowest, getattr(self.series[slowest], what)[frames[-1]], least)
 
     def _is_silent(self, series: Series) -> bool:

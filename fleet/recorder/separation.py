@@ -39,7 +39,7 @@ class Separation:
         self._least: Nearest | None = None
 
     @classmethod
-    def asked(cls, scenario: Scenario) -> Separation | None:
+    def from_scenario(cls, scenario: Scenario) -> Separation | None:
         """The input that the scenario's check needs; None if it has no such check."""
         check = scenario.spec.checks.min_separation
         if check is None:

@@ -29,7 +29,7 @@ def least_s(disturbance: Iterable[Harmonic], judged_s: float) -> float:
     return max(periodic, min(SHARE * judged_s, MOST_S))
 
 
-def below_from(values: Sequence[float], limit: float, begin: int, end: int) -> int:
+def first_settled(values: Sequence[float], limit: float, begin: int, end: int) -> int:
     """The first place in `begin .. end` after which all values before `end` are below the limit; `end` if there is
     none.
     """
@@ -43,12 +43,12 @@ def settling_time(
     times: Sequence[float], values: Sequence[float], limit: float, disturbance: Iterable[Harmonic]
 ) -> float | None:
     """How long [s] after the first of the times a value settled below a limit; None if it did not, or too late."""
-    first = below_from(values, limit, 0, len(values))
-    if first == len(values) or not stayed(times, first, len(times), least_s(disturbance, times[-1] - times[0])):
+    first = first_settled(values, limit, 0, len(values))
+    if first == len(values) or not is_long_enough(times, first, len(times), least_s(disturbance, times[-1] - times[0])):
         return None
     return float(times[first] - times[0])
 
 
-def stayed(times: Sequence[float], first: int, end: int, least: float) -> bool:
+def is_long_enough(times: Sequence[float], first: int, end: int, least: float) -> bool:
     """Whether it is at least `least` seconds from place `first` to the last before `end`."""
     return bool(times[end - 1] - times[first] >= least - 1e-9)  # times are sums of ticks

@@ -41,7 +41,7 @@ class Transforms:
             i: FrameTransform(parent_frame_id=NED, child_frame_id=f"uuv-{i}").SerializeToString()
             for i in range(1, scenario.vehicles + 1)
         }
-        self._moves = Template(_moved, 7)
+        self._moves = Template(_transform, 7)
 
     def message(self, frame: Frame, stamp: bytes) -> bytes:
         """A FrameTransforms message of all vehicles, and of the frames above them; `stamp` is `stamp_field`'s."""
@@ -61,7 +61,7 @@ class Transforms:
         return b"".join(found)
 
 
-def _moved(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> FrameTransform:
+def _transform(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> FrameTransform:
     """The rest of a transform, by the place of the child's origin and its quaternion."""
     return FrameTransform(translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 

@@ -281,7 +281,7 @@ def _both(sink: MessageSink, tap: Tap) -> Callable[[int, int, int, int, bytes], 
     return message
 
 
-def stated(scenario: Scenario) -> dict[str, str]:
+def scenario_metadata(scenario: Scenario) -> dict[str, str]:
     """What of the metadata a scenario says without its laws."""
     return {
         "scenario": scenario.name,
@@ -299,7 +299,7 @@ def run_metadata(scenario: Scenario, start: Start | None = None) -> dict[str, st
     sources = {f"law {law.name}": law_class(kind, law) for each in scenarios for kind, law in each.other_laws}
     plants = {name: plant for each in scenarios for name, plant in each.plants.items()}
     sources |= {f"plant {name}": plant_class(name, plant.parameters or {}) for name, plant in plants.items()}
-    found = stated(scenario) | {
+    found = scenario_metadata(scenario) | {
         "uuv-fleet": version("uuv-fleet"),
         "piqp": version("piqp"),
         "python": ".".join(platform.python_version_tuple()[:2]),

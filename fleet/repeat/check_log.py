@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct, field
 
-from fleet.checks.own_checks import OwnChecks, due_groups, reported
+from fleet.checks.own_checks import OwnChecks, due_groups, logged_signals
 from fleet.checks.values import LoggedValues, Values
 from fleet.errors import FleetError, Problem, ScenarioError
 from fleet.logs.decoder import Decoder
@@ -17,7 +17,7 @@ from fleet.logs.fault_intervals import fault_message
 from fleet.logs.schemas import FAULT, FROM_TICK, PACKET, MessageField
 from fleet.logs.topic_names import link_topic
 from fleet.mcap.reader import LogReader, Record
-from fleet.repeat.recorded_run import recorded
+from fleet.repeat.recorded_run import read_recorded_run
 from fleet.result.verdict import Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signal_checks import SignalCheckError
@@ -49,7 +49,7 @@ def check_log(
     CheckError or SignalCheckError if a check cannot be made, or makes no sense for this log.
     """
     _insist_on_checks(overrides)
-    source = recorded(path, reading)
+    source = read_recorded_run(path, reading)
     refused: list[Problem] = []  # a law that may not run is no mistake here, unless a check is about one of its signals
     scenario = source.script([Override.of(text) for text in overrides], Policy(refused=refused))
     if strangers := [problem for problem in refused if problem.key.partition(".")[0] == "checks"]:
@@ -94,7 +94,7 @@ def _insist_on_checks(overrides: Sequence[str]) -> None:
 
 def _checks(scenario: Scenario, first: int, refused: Sequence[Problem]) -> OwnChecks | None:
     try:
-        return OwnChecks.asked(scenario, first)
+        return OwnChecks.from_scenario(scenario, first)
     except SignalCheckError as error:
         if not refused or error.key not in ("topic", "vehicles"):
             raise
@@ -119,7 +119,7 @@ class _Feed:
         self._samples = {
             f"uuv/{i}/{group}": (i, group, signals)
             for i in range(1, scenario.vehicles + 1)
-            for group, signals in reported(scenario, i).groups().items()
+            for group, signals in logged_signals(scenario, i).groups().items()
             if group in checks.groups
         }
         self._columns = {FAULTS: FAULT, **dict.fromkeys(self._links, PACKET)} | {

@@ -21,7 +21,7 @@ from agents.loop import AgentLoop
 from agents.sample import Decision
 from agents.signals import SignalLayout
 from fleet.errors import FleetError
-from fleet.logs.decoder import Decoder, decoded
+from fleet.logs.decoder import Decoder, decode_message
 from fleet.logs.schemas import (
     COMMAND,
     PACKET,
@@ -103,7 +103,7 @@ def recorded_agents(reader: LogReader, scenario: Scenario, last_ns: int, *, whol
             tick = record.log_ns // scenario.tick_ns
             raise NotRecordedError(f"a message of {record.topic} at tick {tick} is damaged") from None
     for i, agent in reading.agents.items():
-        _transmitted(agent, reading.packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
+        _add_payloads(agent, reading.packets[i], whole=whole or all(src != i for src, _ in scenario.graph.links))
     return reading.agents
 
 
@@ -130,7 +130,7 @@ class _Reading:
             self._sample(int(number), group, tick, record.data)
         elif (agent := self._talking.get(record.topic)) is not None:
             # Commands are recorded at every tick, so there are frames at every tick: the line came with that command.
-            line = decoded(Log, record.data)
+            line = decode_message(Log, record.data)
             agent.said.setdefault(tick, []).append(Said(record.publish_ns, line.file, line.message))
         elif (
             (link := link_of(record.topic)) is not None
@@ -156,7 +156,7 @@ class _Reading:
         payload = message.payload
         if message.corrupted:
             model = LinkModel(self._scenario.conditions.get(link, PERFECT), self._scenario.seed, link)
-            payload = model.flipped(payload, message.seq, message.copy)
+            payload = model.flip_bit(payload, message.seq, message.copy)
         else:
             self._sure.add((src, message.seq))
         self.packets[src][message.seq] = record.publish_ns // self._tick_ns, payload
@@ -167,7 +167,7 @@ class _Reading:
         return message
 
 
-def _transmitted(agent: RecordedAgent, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:
+def _add_payloads(agent: RecordedAgent, packets: dict[int, tuple[int, bytes]], *, whole: bool) -> None:
     """The payloads of each tick. A payload whose fate is not in a cut log keeps its place and is empty."""
     tick = 0
     for seq in range(max(packets, default=-1) + 1):

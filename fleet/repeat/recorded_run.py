@@ -18,7 +18,7 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import EVERY, Recovery, SignalCheck
 from fleet.scenario.sections.fault_entry import is_fault, values_of
-from fleet.scenario.sections.node_names import named_values
+from fleet.scenario.sections.node_names import values_to_names
 from fleet.scenario.text.fault_words import FaultWordsError, read_fault
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import READING, Policy, ran_from
@@ -72,7 +72,7 @@ class Recorded:
         return rerun(self.path, self.text, self.events, self.last_ns, overrides, policy)
 
 
-def recorded(path: Path, on_progress: OnProgress = lambda _: None) -> Recorded:
+def read_recorded_run(path: Path, on_progress: OnProgress = lambda _: None) -> Recorded:
     """Read a log. Raises LogReadError if there is no log to read; FleetError if it holds no scenario of ours."""
     path = log_path(path)
     reader = LogReader(path, on_progress)
@@ -86,7 +86,7 @@ def recorded(path: Path, on_progress: OnProgress = lambda _: None) -> Recorded:
                 f"{path} holds more than {LOG_FAULTS.items} events of faults, or {LOG_FAULTS.bytes} bytes of them: "
                 "that is no run"
             )
-    attached = _attached(path, reader)
+    attached = _attached_scenario(path, reader)
     decode = Decoder(reader)
     names = reader.metadata.get("run", {}).get(NODES, "").split()
     events = [(record.log_ns, fault_message(decode.ours(record, FAULT), names)) for record in happened]
@@ -98,10 +98,10 @@ def script(path: Path, on_progress: OnProgress = lambda _: None) -> Scenario:
     """The scenario of a log, its faults taken from what happened. Raises LogReadError if there is no log to read;
     FleetError if it holds no scenario of ours.
     """
-    return recorded(path, on_progress).script()
+    return read_recorded_run(path, on_progress).script()
 
 
-def _attached(path: Path, reader: LogReader) -> str:
+def _attached_scenario(path: Path, reader: LogReader) -> str:
     data = reader.attachments.get("scenario.yaml")
     if data is None:
         foreign = ": it was not written by fleet run, so there is nothing to judge or to repeat"
@@ -134,7 +134,7 @@ def rerun(
         faults = _with_plans(faults, planned)
     ended = {str(entry["id"]) for entry in faults if "for" in entry}
     more = [*_recoveries(planned, ended), *overrides]
-    again = _without_faults(text.splitlines()) + _faults_yaml(faults)
+    again = _drop_faults(text.splitlines()) + _faults_yaml(faults)
     return parse_scenario(again, str(path), more, policy=policy)
 
 
@@ -160,7 +160,7 @@ def _entries(events: list[tuple[int, FaultMessage]], end_ns: int, names: Sequenc
         if not is_fault(event.entry) or event.what.startswith("lost "):
             continue  # a loss happens again by itself; only older logs have such events
         if event.action == "begins":
-            values = named_values(values_of(event.entry), names) or read_fault(event.what)
+            values = values_to_names(values_of(event.entry), names) or read_fault(event.what)
             entries[event.fault] = {"id": event.fault, "at": show_time(at_ns), **values, "_at": at_ns}
         elif event.fault in entries and at_ns < end_ns:
             entries[event.fault]["for"] = show_time(at_ns - entries[event.fault]["_at"])
@@ -188,7 +188,7 @@ def _faults_yaml(faults: list[dict[str, Any]]) -> str:
     return "".join(["\nfaults:\n", *(f"  - {json.dumps(entry)}\n" for entry in faults)]) if faults else "\n"
 
 
-def _without_faults(lines: list[str]) -> str:
+def _drop_faults(lines: list[str]) -> str:
     kept: list[str] = []
     inside = False
     for line in lines:

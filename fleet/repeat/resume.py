@@ -15,7 +15,7 @@ from fleet.mcap.reader import OnProgress, digest
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.recorder.start import Leg, Start, set_up_otherwise
 from fleet.repeat.recorded_run import Recorded
-from fleet.repeat.recorded_run import recorded as read
+from fleet.repeat.recorded_run import read_recorded_run as read
 from fleet.repeat.verify import Proof, as_it_was, start_of
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario

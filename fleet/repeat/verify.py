@@ -18,8 +18,8 @@ from msgspec import field as entry
 from fleet.cores import machine
 from fleet.errors import FleetError
 from fleet.execution.clock import GrantPolicy
-from fleet.execution.external_agents import named
-from fleet.execution.in_process import in_process
+from fleet.execution.external_agents import describe_external
+from fleet.execution.in_process import start_in_process
 from fleet.execution.moments import reach
 from fleet.logs.decoder import Decoder
 from fleet.logs.difference import Difference, Side, difference, side
@@ -35,7 +35,7 @@ from fleet.mcap.reader import GAPS, RECOVERY, LogReader, Record
 from fleet.recorder.start import Leg, Start
 from fleet.recorder.writer import LogWriter, run_metadata
 from fleet.repeat.recorded_agent import NotRecordedError, recorded_agents
-from fleet.repeat.recorded_run import Recorded, recorded
+from fleet.repeat.recorded_run import Recorded, read_recorded_run
 from fleet.result.file import ResultError, read_result
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario, frame_every
@@ -79,7 +79,7 @@ def verify(
     of ours, or no message; ScenarioError if its scenario does not run here: another version wrote it, or a law is not
     installed and not trusted; NotRecordedError if it lacks commands of an external agent.
     """
-    source = recorded(path, reading)
+    source = read_recorded_run(path, reading)
     path, reader, last_ns = source.path, source.reader, source.last_ns
     source.insist_on_lockstep(
         "it does not come out the same again", "fleet regress tells how often kept failures come again"
@@ -307,7 +307,7 @@ def _run_again(
     moment = None if start is None else reach(start, comparison.way(start))
     before, links = (None, None) if moment is None else moment
     writer = LogWriter(comparison, scenario, start, links=links)
-    runner = in_process(scenario, writer, before, agents=agents, judged=False)
+    runner = start_in_process(scenario, writer, before, agents=agents, judged=False)
     journal, seen = runner.journal, -2
 
     def moved() -> None:
@@ -328,7 +328,9 @@ def _run_again(
 
 
 def verification_lines(verification: Verification) -> list[str]:
-    lines = [f"{named([i])}: its commands and payloads were taken from the log" for i in verification.external]
+    lines = [
+        f"{describe_external([i])}: its commands and payloads were taken from the log" for i in verification.external
+    ]
     how_far = f"up to t = {verification.until_s:g} s"
     if verification.missing:
         how_far += f" of {verification.end_s:g} s, as far as the file goes: {verification.missing}"

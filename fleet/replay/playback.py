@@ -31,13 +31,13 @@ RUN = "replay"  # in keys
 class Replay:
     """One log, selected and bound to keys. Nothing is published before `play`."""
 
-    def __init__(self, tape: SeekableLog, options: PlaybackOptions) -> None:
+    def __init__(self, log: SeekableLog, options: PlaybackOptions) -> None:
         """Choose what to play. Raises FleetError: a topic names nothing, or nothing is left to play."""
-        self._tape, self._wishes = tape, options
+        self._log, self._wishes = log, options
         self.keys = Keys(RUN)
-        self.ours = "uuv-fleet" in tape.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
-        kinds = {n: channel.metadata.get(KIND, "") for n, channel in tape.channels.items()}
-        played = {n: c for n, c in tape.channels.items() if kinds[n] != ATTACHMENT}
+        self.ours = "uuv-fleet" in log.metadata.get("run", {})  # a journal, with sim time and a prefix of its own
+        kinds = {n: channel.metadata.get(KIND, "") for n, channel in log.channels.items()}
+        played = {n: c for n, c in log.channels.items() if kinds[n] != ATTACHMENT}
         names = chosen((c.topic for c in played.values()), options.topics, options.exclude)
         self.no_keys = sorted(name for name in names if not is_key(name.strip("/")))
         self.key_of = {
@@ -45,20 +45,20 @@ class Replay:
             for n, c in played.items()
             if c.topic in names.difference(self.no_keys)
         }
-        self._latched = [n for n in self.key_of if _latched(played[n])]
+        self._latched = [n for n in self.key_of if _is_latched(played[n])]
         self._after = 0  # what comes next if the player does not jump
         self._deletes = {n for n in self.key_of if kinds[n] == DELETE}
         self._attached = ATTACHMENT in kinds.values()
-        self._track = track = Track(tape, self.key_of)
+        self._track = track = Track(log, self.key_of)
         # Simulated time begins at 0, whatever is logged first; any other time with the first message.
-        self.zero_ns = 0 if self.ours else tape.due(0)
+        self.zero_ns = 0 if self.ours else log.due(0)
         begin = self.zero_ns + options.start_ns
         end = track[len(track) - 1] if len(track) else begin
         if options.end_ns is not None:
             end = min(end, self.zero_ns + options.end_ns)
         first, stop = track.before(begin), track.before(end + 1)
         if first >= stop:
-            last = (tape.end_ns - self.zero_ns) / 1e9
+            last = (log.end_ns - self.zero_ns) / 1e9
             why = f"; {self.left_out}" if self.no_keys else ""
             raise FleetError(
                 f"nothing to play: the log ends at {last:g} s, and no chosen message is in what was asked for{why}"
@@ -84,28 +84,28 @@ class Replay:
 
     def open(self, bus: OpenBus) -> None:
         """Declare the keys."""
-        tape = self._tape
+        log = self._log
         for n, key in self.key_of.items():
-            channel = tape.channels[n]
-            schema = tape.schemas.get(channel.schema_id)
+            channel = log.channels[n]
+            schema = log.schemas.get(channel.schema_id)
             encoding = channel.metadata.get(ENCODING) or zenoh_encoding(
                 channel.message_encoding, schema.name if schema else ""
             )
             self._publications[n] = bus.publication(key, encoding, drop=False)
         if self.ours:
             topics = {
-                key.removeprefix(self.keys.log("")): tape.schemas[tape.channels[n].schema_id].name
+                key.removeprefix(self.keys.log("")): log.schemas[log.channels[n].schema_id].name
                 for n, key in self.key_of.items()
-                if tape.channels[n].schema_id in tape.schemas
+                if log.channels[n].schema_id in log.schemas
             }
             units = {
-                tape.schemas[channel.schema_id].name: channel.metadata[UNITS]
-                for channel in tape.channels.values()
-                if channel.schema_id in tape.schemas and UNITS in channel.metadata
+                log.schemas[channel.schema_id].name: channel.metadata[UNITS]
+                for channel in log.channels.values()
+                if channel.schema_id in log.schemas and UNITS in channel.metadata
             }
-            hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in tape.schemas.values()}, units)
+            hand_out(bus, self.keys, topics, {schema.name: schema.data for schema in log.schemas.values()}, units)
 
-    def unmatched(self) -> list[str]:
+    def unmatched_keys(self) -> list[str]:
         return [self.key_of[n] for n, publication in self._publications.items() if not publication.matched]
 
     def play(self, keyboard: Keyboard, line: StatusLine) -> None:
@@ -119,7 +119,7 @@ class Replay:
         play_out(player, keyboard, line, self._publish, lambda: self._describe(time.monotonic_ns(), pace), pace.restart)
 
     def _wait(self, line: StatusLine) -> None:
-        while self._wishes.wait_for_subscribers and (missing := self.unmatched()):
+        while self._wishes.wait_for_subscribers and (missing := self.unmatched_keys()):
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             if line.due():
                 line.show(f"waiting for a subscriber on {missing[0]}{more}")
@@ -127,7 +127,7 @@ class Replay:
 
     def _publish(self, some: range) -> None:
         if some and some.start != self._after:
-            for number, entry in self._tape.last(self._latched, self._track[some.start]):
+            for number, entry in self._log.last(self._latched, self._track[some.start]):
                 self._put(number, entry)
         for number, entry in self._track.entries(some):
             self._put(number, entry)
@@ -148,7 +148,7 @@ class Replay:
     def _attachment(self, number: int, sequence: int) -> bytes | None:
         if not number or not self._attached:
             return None
-        entry = self._tape[number - 1]
+        entry = self._log[number - 1]
         attached = entry.channel.metadata.get(KIND) == ATTACHMENT and entry.sequence == sequence
         return entry.data if attached else None
 
@@ -239,7 +239,7 @@ def chosen(topics: Iterable[str], patterns: Sequence[str], exclude: Sequence[str
 _TRANSIENT_LOCAL = re.compile(r"durability: *(transient_local|1)\b")  # in a bag: in words, or its number in rmw
 
 
-def _latched(channel: Channel) -> bool:
+def _is_latched(channel: Channel) -> bool:
     """Whether a late subscriber expects the last message: static transforms, and what publishers of ROS 2 keep."""
     offered = channel.metadata.get("offered_qos_profiles", "")
     return channel.topic.strip("/").endswith("tf_static") or _TRANSIENT_LOCAL.search(offered) is not None

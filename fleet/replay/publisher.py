@@ -39,7 +39,7 @@ class LivePublisher:
 
     def __init__(self, run: str, observe: Path, scenario: str, *, wait: bool = False) -> None:
         """Prepare; `open` starts the process. `observe`: file that holds, while the run lives, where and as which user
-        to subscribe. `wait`: whether `heard` will be called."""
+        to subscribe. `wait`: whether `wait_for_subscriber` will be called."""
         self.run = run
         self.wait = wait
         self.dropped = 0  # messages that the pipe had no room for
@@ -104,7 +104,7 @@ class LivePublisher:
             end(process, 0.0)
             raise FleetError(f"cannot write {self._observe}: {error.strerror}", status=3) from error
 
-    def heard(self) -> None:
+    def wait_for_subscriber(self) -> None:
         """Wait without limit until there is a subscriber to the journal or to a part of it. Raises FleetError: the
         process ended meanwhile."""
         if "heard" not in self._answer(None):

@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from fleet.notebook import html_table
 from fleet.result.json_text import json_text
 from fleet.result.timing import Punctual, Timing
-from fleet.result.verdict import Verdict, failed_first
+from fleet.result.verdict import Verdict, sort_failed_first
 from netem.ledger import Account, Count
 
 FORMAT = 1  # the format of result.json; a later version may write a larger number
@@ -224,7 +224,7 @@ class Result(Struct, kw_only=True):
         return f"<Result of {self._run}: {self.status}; {said}>"
 
     def _repr_html_(self) -> str:
-        rows = [(one.check, one.mark, one.asked, one.found) for one in failed_first(self.checks)]
+        rows = [(one.check, one.mark, one.asked, one.found) for one in sort_failed_first(self.checks)]
         title = f"{self._run}: {self.status}" + (f", {self.reason}" if self.reason else "")
         return html_table(title, ("check", "", "asked", "found"), rows)
 

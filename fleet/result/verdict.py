@@ -125,7 +125,7 @@ class Verdict(Struct, frozen=True):
         return Verdict(self.check, True, self.asked, found, signals=self.signals, reached=reached)
 
 
-def failed_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
+def sort_failed_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
     """Those that failed, those that were not judged, and those that passed."""
     return sorted(verdicts, key=lambda one: (not one.failed, one.judged))
 

@@ -43,10 +43,10 @@ def shipped_text(name: str) -> str:
 
 def list_scenarios() -> list[ListedScenario]:
     """Every shipped scenario, by name."""
-    return [_listed(name) for name in shipped_scenarios()]
+    return [_describe_scenario(name) for name in shipped_scenarios()]
 
 
-def _listed(name: str) -> ListedScenario:
+def _describe_scenario(name: str) -> ListedScenario:
     root, _ = read(Source(name, shipped_text(name)))
     assert isinstance(root, Mapping), name
     top = {key: node.value for key, node in root.entries.items() if isinstance(node, Scalar)}

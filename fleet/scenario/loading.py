@@ -14,9 +14,9 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.scenario import Reading, Scenario
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text import scenario_yaml
-from fleet.scenario.text.nodes import expanded, still
+from fleet.scenario.text.nodes import nodes_to_vehicles, with_moored_defaults
 from fleet.scenario.text.overrides import Override, apply
-from fleet.scenario.text.simulated_nodes import SIMULATED, command_folders, simulated
+from fleet.scenario.text.simulated_nodes import SIMULATED, command_folders, simulated_values
 from fleet.scenario.text.yaml_reader import Mapping, Scalar, Source, plain, read
 from fleet.scenario.text.yaml_writer import yaml_text
 from fleet.scenario.trust import READING, TYPED, OverrideOrigin, Policy, ran_from, stranger
@@ -78,20 +78,20 @@ def parse_scenario(
         name = re.sub(r"[^a-z0-9_-]+", "-", Path(source_name).stem.lower()).strip("-_")[:64] or "scenario"
         root = root.with_entry("name", root.place, Scalar(name, root.place))
     root, more = apply(root, overrides)
-    root = expanded(root, problems) if "nodes" in root.entries else still(root)
+    root = nodes_to_vehicles(root, problems) if "nodes" in root.entries else with_moored_defaults(root)
     parts, mistakes = validate(root, folder, policy)
     problems += [*more, *mistakes]
     if parts is None or problems:
         raise ScenarioError(sorted(problems, key=lambda p: _order(p, source, overrides)))
     reading = Reading(text, tuple(overrides), folder, policy)
     if parts.spec.clock == SIMULATED:
-        parts = _simulated(parts.spec, source_name, folder, policy)
+        parts = _simulated_parts(parts.spec, source_name, folder, policy)
     return Scenario(parts, reading, source_name)
 
 
-def _simulated(spec: ScenarioSpec, source_name: str, folder: Path | None, policy: Policy) -> Parts:
+def _simulated_parts(spec: ScenarioSpec, source_name: str, folder: Path | None, policy: Policy) -> Parts:
     """The parts of a file of nodes in simulated time. Raises ScenarioError: a program of it cannot run there."""
-    made = yaml_text(simulated(spec, folder or Path()))
+    made = yaml_text(simulated_values(spec, folder or Path()))
     root, problems = read(Source(f"{source_name} in simulated time", made))
     assert isinstance(root, Mapping)
     if not policy.stranger:
@@ -102,7 +102,7 @@ def _simulated(spec: ScenarioSpec, source_name: str, folder: Path | None, policy
     return parts
 
 
-def changed(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:
+def with_overrides(scenario: Scenario, overrides: Sequence[str | Override]) -> Scenario:
     """Read the text of a scenario once more, with further overrides after the earlier ones.
 
     All values that the seed draws are drawn anew. Problems name the lines of the file. Raises ScenarioError.

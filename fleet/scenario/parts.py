@@ -104,7 +104,7 @@ class Parts:
     @cached_property
     def conditions(self) -> dict[Link, Condition]:
         """The condition of every link that is not perfect at the start, in the order of the links."""
-        given = {link: self.spec.network.links[selector].condition for link, selector in self.written.items()}
+        given = {link: self.spec.network.links[selector].condition for link, selector in self.selectors.items()}
         return {link: c for link, c in given.items() if c is not None and c != Condition()}
 
     @property
@@ -114,7 +114,7 @@ class Parts:
         return {i: radio for numbers, radio in given for i in vehicle_numbers(numbers)}
 
     @cached_property
-    def written(self) -> dict[Link, str]:
+    def selectors(self) -> dict[Link, str]:
         """The last selector that names each link, in the order of the links; links that none names are left out."""
         last: dict[Link, str] = {}
         for selector in self.spec.network.links:
@@ -126,9 +126,9 @@ class Parts:
         """The condition of each link that changes by itself. Raises DataFileError: a trace cannot be read."""
         made = {
             selector: link_conditions.changing(selector, self.spec.network.links[selector], self.traces)
-            for selector in dict.fromkeys(self.written.values())
+            for selector in dict.fromkeys(self.selectors.values())
         }
-        found = {link: made[selector] for link, selector in self.written.items()}
+        found = {link: made[selector] for link, selector in self.selectors.items()}
         return {link: changing for link, changing in found.items() if changing is not None}
 
     @cached_property
@@ -173,7 +173,7 @@ class Parts:
     def choice(self, entries: Entries) -> VehicleOverrides:
         """Every section that may be per vehicle, as it holds for the vehicles that these entries name."""
         if entries not in self._choices:
-            self._choices[entries] = per_vehicle.merged(self.spec, entries)
+            self._choices[entries] = per_vehicle.merge_overrides(self.spec, entries)
         return self._choices[entries]
 
     def choices(self) -> Iterator[tuple[Entries, VehicleOverrides]]:
@@ -221,7 +221,7 @@ class Parts:
         return {i: vehicle_clock(clock, self.spec.seed, i) for i, clock in given if clock is not None}
 
     @cached_property
-    def ground(self) -> NemesisTargets:
+    def targets(self) -> NemesisTargets:
         """The parts of the scenario that a nemesis acts on."""
         nemesis = self.spec.nemesis
         if nemesis is not None and nemesis.mode is None and (nemesis.every is None or nemesis.for_ is None):
@@ -233,7 +233,7 @@ class Parts:
     @cached_property
     def explicit(self) -> ScenarioSpec:
         """The specification with the faults that its nemesis draws written out after its own."""
-        return self.spec if self.spec.nemesis is None else nemesis.explicit(self.ground)
+        return self.spec if self.spec.nemesis is None else nemesis.explicit(self.targets)
 
     @cached_property
     def faults(self) -> timeline.FaultPlan:

@@ -43,7 +43,7 @@ from world.vectors import minus
 
 
 class Reading(NamedTuple):
-    """The sources of a scenario; `loading.changed` reads them once more."""
+    """The sources of a scenario; `loading.with_overrides` reads them once more."""
 
     text: str
     overrides: tuple[str | Override, ...]
@@ -56,11 +56,11 @@ class Scenario:
 
     def __init__(self, parts: Parts, reading: Reading, source: str = "") -> None:
         """The scenario of a valid specification, from its parts. `source`: its shipped name, or its path."""
-        self.spec = spec = _without_files(parts.explicit, parts)  # the values of the file, in SI units
-        self.undrawn = _without_files(parts.spec, parts)  # with the nemesis in place of the faults that it drew
+        self.spec = spec = _inline_files(parts.explicit, parts)  # the values of the file, in SI units
+        self.undrawn = _inline_files(parts.spec, parts)  # with the nemesis in place of the faults that it drew
         self.reading, self.source = reading, source
         self.nodes = tuple(spec.nodes or ())  # names of robots that are not ours; empty: vehicles
-        self.ground = parts.ground  # what its nemesis acts on
+        self.targets = parts.targets  # what its nemesis acts on
         self.name, self.title, self.vehicles, self.seed = spec.name, spec.title, spec.vehicles, spec.seed
         self.tick_ns, self.duration_ns, self.stall_timeout_s = spec.tick, spec.duration, spec.stall_timeout / 1e9
         self.ticks = spec.duration // spec.tick
@@ -74,7 +74,7 @@ class Scenario:
         self.conditions = parts.conditions  # every link that is not perfect at the start
         self.radios = parts.radios  # rate and limit of all that a vehicle sends
         self.changing = parts.changing  # what the others do whose condition changes by itself
-        self.selectors = parts.written  # the last entry of network.links that names each link
+        self.selectors = parts.selectors  # the last entry of network.links that names each link
         self.controls = parts.controls  # what each vehicle is and runs
         self.external = tuple(i for i, its in enumerate(self.controls, 1) if its.external)  # agents that others start
         self.faults = parts.faults
@@ -271,7 +271,7 @@ class Scenario:
     def to_yaml(self) -> str:
         """The record of this run: the merged scenario, with units and all faults; it loads to an equal scenario.
 
-        With another seed it has the same faults: for that there are `loading.changed` and `to_undrawn_yaml`.
+        With another seed it has the same faults: for that there are `loading.with_overrides` and `to_undrawn_yaml`.
         """
         return scenario_yaml.scenario_yaml(self.spec)
 
@@ -288,7 +288,7 @@ def _others(controls: Iterable[Control]) -> tuple[tuple[str, Law], ...]:
     return tuple(others.values())
 
 
-def _without_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
+def _inline_files(spec: ScenarioSpec, parts: Parts) -> ScenarioSpec:
     """The same specification, with what a user's files of vehicles, modems and traces hold in place of the files."""
     folder = parts.folder
 

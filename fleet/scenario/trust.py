@@ -87,7 +87,7 @@ def stranger(file: Path) -> str:
     return ""
 
 
-def _kept() -> Path:
+def _trust_file() -> Path:
     """The file of this user, mode 0600, with a line for each scenario that was run with own modules."""
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
     return (state if state.is_absolute() else Path("~/.local/state").expanduser()) / "uuv-fleet" / "own-runs"
@@ -102,7 +102,7 @@ def remember(text: str) -> None:
         return
     digest = _digest(text)
     with suppress(OSError, RuntimeError):  # no room, or a user without a home
-        file = _kept()
+        file = _trust_file()
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         known = _lines(file)
         new = [line for folder in folders if "\n" not in folder and (line := f"{digest} {folder}") not in known]
@@ -114,7 +114,7 @@ def ran_from(text: str) -> tuple[Path, ...]:
     """The folders of own modules with which this user has run a scenario, newest first; none: it was not this user."""
     digest = _digest(text)
     with suppress(OSError, RuntimeError):
-        parts = (line.partition(" ") for line in _lines(_kept()))
+        parts = (line.partition(" ") for line in _lines(_trust_file()))
         return tuple(Path(folder) for known, _, folder in parts if known == digest)[::-1]
     return ()
 

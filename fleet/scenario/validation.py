@@ -32,10 +32,10 @@ from fleet.scenario.rules import (
     periods,
     programs,
 )
-from fleet.scenario.rules.report import Report, dotted
+from fleet.scenario.rules.report import Report, dotted_path
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.node_names import of_nodes
+from fleet.scenario.sections.node_names import with_node_names
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
 from fleet.scenario.trust import READING, Policy
 from fleet.scenario.value_types import Section, section_of
@@ -137,22 +137,22 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
     parts = Parts(spec, folder)
     if isinstance(spec, ScenarioSpec) and "nodes" not in root.entries:
         for path in laws.superfluous(parts, report):
-            root = _without(root, path)
+            root = _drop_key(root, path)
         if root is not report.root:
             return validate(root, folder, policy)
     apply_rules(parts, report)
     names = report.keys("nodes")
-    told = [replace(problem, message=of_nodes(problem.message, names)) for problem in report.problems]
+    told = [replace(problem, message=with_node_names(problem.message, names)) for problem in report.problems]
     return (None if told else parts), told
 
 
-def _without(root: Mapping, path: Sequence[str]) -> Mapping:
+def _drop_key(root: Mapping, path: Sequence[str]) -> Mapping:
     """The tree without a key."""
     key, *rest = path
     inner = root.entries[key]
     if not rest or not isinstance(inner, Mapping):
         return root.without(key)
-    return Mapping(root.entries | {key: _without(inner, rest)}, root.keys, root.place)
+    return Mapping(root.entries | {key: _drop_key(inner, rest)}, root.keys, root.place)
 
 
 def apply_rules(parts: Parts, report: Report) -> None:
@@ -278,12 +278,12 @@ def _keys_of(errors: Sequence[ErrorDetails], kind: str, section: Loc) -> list[st
 def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
     """A problem in words; `meant`: the key that an unknown one stands for, if that is known."""
     loc = error["loc"]
-    path = _in_file(root, loc)
+    path = _file_path(root, loc)
     context, value = error.get("ctx", {}), error["input"]
-    name = dotted(path)
+    name = dotted_path(path)
     match error["type"]:
         case "missing":
-            section = dotted(path[:-1])
+            section = dotted_path(path[:-1])
             where = f' in "{section}"' if section else ""
             hint = f"for example {name}: {EXAMPLES[name]}" if name in EXAMPLES else ""
             return locate(root, path[:-1], key=True).problem(f'"{path[-1]}" is missing{where}', hint, name)
@@ -294,7 +294,7 @@ def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
         case "mistake":
             if path[-1] == "[key]":
                 path = path[:-1]
-                place, name = locate(root, path, key=True).shifted(context["column"]), dotted(path[:-1])
+                place, name = locate(root, path, key=True).shift(context["column"]), dotted_path(path[:-1])
             else:
                 place = text_place(root, path, context["column"])
             return place.problem(f"{_short(name)}: {context['message']}", context["hint"], name)
@@ -313,7 +313,7 @@ def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
     return locate(root, path).problem(f"{_short(name)}: {message}", hint, name)
 
 
-def _in_file(root: Mapping, loc: Loc) -> Loc:
+def _file_path(root: Mapping, loc: Loc) -> Loc:
     """The path in the file of a path in the model.
 
     The model has a step more for the form of `initial` and of what may be a section or a text, for checks in Python,

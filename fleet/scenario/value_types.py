@@ -136,7 +136,7 @@ def _condition(value: Any) -> Condition:
     )
 
 
-def _within(dimension: q.Dimension, low: float, high: float, limits: str) -> Callable[[Any], float]:
+def _range_reader(dimension: q.Dimension, low: float, high: float, limits: str) -> Callable[[Any], float]:
     """A reader of numbers from `low` to `high`; `limits` are these two in the words of its error."""
 
     def read(value: Any) -> float:
@@ -148,13 +148,13 @@ def _within(dimension: q.Dimension, low: float, high: float, limits: str) -> Cal
     return read
 
 
-_probability = _within(q.RATIO, 0.0, 1.0, "0 and 100 %")
+_probability = _range_reader(q.RATIO, 0.0, 1.0, "0 and 100 %")
 _MOST_DRIFT = "-100000 and 100000 ppm"  # a tenth: no quartz is so bad, but borders are looked for
-_drift = _within(q.CLOCK_DRIFT, -0.1, 0.1, _MOST_DRIFT)
-_spread = _within(q.CLOCK_DRIFT, 0.0, 0.1, "0 and 100000 ppm")
-_fraction = _within(q.NUMBER, 0.0, 1.0, "0 and 1")
-_pitch_limit = _within(q.ANGLE, radians(10.0), radians(90.0), "10 and 90 deg")
-_spreading = _within(q.NUMBER, 1.0, 2.0, "1 (cylindrical) and 2 (spherical)")
+_drift = _range_reader(q.CLOCK_DRIFT, -0.1, 0.1, _MOST_DRIFT)
+_spread = _range_reader(q.CLOCK_DRIFT, 0.0, 0.1, "0 and 100000 ppm")
+_fraction = _range_reader(q.NUMBER, 0.0, 1.0, "0 and 1")
+_pitch_limit = _range_reader(q.ANGLE, radians(10.0), radians(90.0), "10 and 90 deg")
+_spreading = _range_reader(q.NUMBER, 1.0, 2.0, "1 (cylindrical) and 2 (spherical)")
 
 
 def _clock_time(value: Any) -> int:

@@ -68,7 +68,7 @@ class Keyboard:
     @staticmethod
     def possible() -> bool:
         """Whether key presses can be read: stdin is a terminal, and this is not a background job."""
-        return sys.stdin is not None and sys.stdin.isatty() and not _in_background(sys.stdin.fileno())
+        return sys.stdin is not None and sys.stdin.isatty() and not _is_in_background(sys.stdin.fileno())
 
     def __init__(self) -> None:
         self._descriptor: int | None = None
@@ -129,7 +129,7 @@ class Keyboard:
             tty.setcbreak(self._descriptor)
 
 
-def _in_background(terminal: int) -> bool:
+def _is_in_background(terminal: int) -> bool:
     """Whether this is a background job, which the system would stop for touching the terminal."""
     try:
         return os.getpgrp() != os.tcgetpgrp(terminal)

@@ -33,10 +33,10 @@ def fit(pieces: Sequence[Piece], width: int | None = None) -> str:
     """
     chosen = [piece.forms[0] for piece in pieces]
     if width is None:
-        return _joined(chosen)
+        return _join_forms(chosen)
 
     def fits(k: int, form: str) -> bool:
-        return len(_joined([*chosen[:k], form, *chosen[k + 1 :]])) <= width
+        return len(_join_forms([*chosen[:k], form, *chosen[k + 1 :]])) <= width
 
     rising = sorted(range(len(pieces)), key=lambda k: pieces[k].rank)
     needed = [k for k in rising if pieces[k].forms[-1]]
@@ -46,7 +46,7 @@ def fit(pieces: Sequence[Piece], width: int | None = None) -> str:
     steps += [(k, pieces[k].forms[n]) for n in range(most) for k in reversed(needed) if n < len(pieces[k].forms)]
     steps += [(k, "") for k in reversed(needed)]
     for k, form in steps:
-        if len(_joined(chosen)) > width:
+        if len(_join_forms(chosen)) > width:
             chosen[k] = form
     for k in needed:
         chosen[k] = next(form for form in (*pieces[k].forms, chosen[k]) if fits(k, form))
@@ -56,7 +56,7 @@ def fit(pieces: Sequence[Piece], width: int | None = None) -> str:
             chosen[k] = next(form for form in (*shortest, chosen[k]) if fits(k, form))
         for k in others:
             chosen[k] = next(form for form in (*pieces[k].forms, chosen[k]) if fits(k, form))
-    return _joined(chosen)
+    return _join_forms(chosen)
 
 
 def shortened(text: str, *widths: int) -> list[str]:
@@ -64,5 +64,5 @@ def shortened(text: str, *widths: int) -> list[str]:
     return [shorten(text, width, placeholder=" ...") for width in widths]
 
 
-def _joined(forms: Sequence[str]) -> str:
+def _join_forms(forms: Sequence[str]) -> str:
     return GAP.join(filter(None, forms))

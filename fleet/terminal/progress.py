@@ -22,7 +22,7 @@ FIRST_S = 2.0  # work that is done by then shows nothing
 def showing(doing: str, *, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """A function to call with the share done (0..1), as often as you like."""
     with StatusLine(quiet=quiet, first_s=FIRST_S) as line:
-        yield lambda share: line.update(lambda: [_named(doing), Piece(0, [f"{100 * share:.0f} %"])])
+        yield lambda share: line.update(lambda: [_name_piece(doing), Piece(0, [f"{100 * share:.0f} %"])])
 
 
 @contextmanager
@@ -33,7 +33,7 @@ def showing_steps(doing: str) -> Iterator[Callable[[], None]]:
 
         def report() -> None:
             step = next(steps)
-            line.update(lambda: [_named(doing), Piece(0, [f"step {step}"])])
+            line.update(lambda: [_name_piece(doing), Piece(0, [f"step {step}"])])
 
         yield report
 
@@ -46,7 +46,7 @@ def showing_time(doing: str) -> Iterator[Callable[[float, float], None]]:
         yield lambda at_s, end_s: line.update(lambda: f"{doing} t = {at_s:.1f} / {end_s:g} s")
 
 
-def _named(doing: str) -> Piece:
+def _name_piece(doing: str) -> Piece:
     return Piece(1, [doing, *shortened(doing, 40, 20)])
 
 

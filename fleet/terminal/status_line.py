@@ -23,7 +23,7 @@ _hushed: ContextVar[bool] = ContextVar("hushed", default=False)
 
 
 @contextmanager
-def hushed() -> Iterator[None]:
+def hush_progress() -> Iterator[None]:
     """Show no progress inside, whatever is done there."""
     token = _hushed.set(True)
     try:

@@ -36,7 +36,7 @@ class TerminalColumn:
         return max(len(line) for text in (self.heading, *self.cells) for line in text.split("\n"))
 
 
-def shown(count: int, most: int) -> int:
+def shown_rows(count: int, most: int) -> int:
     """How many of some rows are shown: `most`, or all if one alone were left, whose place its mention would take."""
     return count if count <= most + 1 else most
 

@@ -174,7 +174,7 @@ class Bus:
         """
         return PutQueue(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(capacity)))
 
-    def stamped(self, key: str) -> Stamped:
+    def stamped_queue(self, key: str) -> Stamped:
         """A queue of every put on `key` with its time of arrival [ns, CLOCK_MONOTONIC]; each put costs a callback."""
         stamped = Stamped()
         self.subscribe(key, stamped.put)

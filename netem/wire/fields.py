@@ -19,7 +19,7 @@ Reals5 = Annotated[Reals, Meta(min_length=5, max_length=5)]
 Reals10 = Annotated[Reals, Meta(min_length=10, max_length=10)]
 
 
-def about(meaning: str, unit: str = "") -> Meta:
+def field_meta(meaning: str, unit: str = "") -> Meta:
     """The meaning of a field in one line, and its unit ("" if it has none)."""
     return Meta(description=meaning, extra={"unit": unit})
 

@@ -1,5 +1,5 @@
-"""The shell round the core of each process of a run: notes to the console, a count of rejects, and for who must not let
-senders wait a queue that zenoh's threads fill.
+"""The mailbox of each process of a run: notes to the console, a count of rejects, and for who must not let senders
+wait a queue that zenoh's threads fill.
 
 A zenoh callback runs on a receive thread, so all it does is to put what came into the queue; the process's main
 thread takes it out, one item at a time. Only netem in lockstep touches its core on another thread, too, under a lock.

@@ -50,16 +50,16 @@ class OpenQueries:
         while len(self._waiting) > QUERIES_WAITING.items or self._bytes > QUERIES_WAITING.bytes:
             self._drop(next(iter(self._waiting)))
 
-    def sent(self, ticket: Ticket, robot: int, count: int = 1) -> None:
+    def add_replies(self, ticket: Ticket, robot: int, count: int = 1) -> None:
         """So many more replies of a robot are on their way."""
         ticket.sent[robot] = ticket.sent.get(robot, 0) + count
 
-    def arrived(self, ticket: Ticket, robot: int) -> None:
+    def on_reply(self, ticket: Ticket, robot: int) -> None:
         """A reply of a robot has arrived."""
         ticket.arrived[robot] = ticket.arrived.get(robot, 0) + 1
         self._finish(ticket)
 
-    def ended(self, ticket: Ticket, robot: int) -> None:
+    def on_robot_ended(self, ticket: Ticket, robot: int) -> None:
         """A robot will send no more replies."""
         ticket.ended.add(robot)
         self._finish(ticket)

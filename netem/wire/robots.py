@@ -25,7 +25,17 @@ from netem.limits import TOKENS
 from netem.robot_message import DELETE, PUT, QUERY, REPLY, RobotMessage
 from netem.wire.queries import Ticket
 from netem.wire.robot_queues import Inlet, Outlet
-from netem.wire.session import BASE, OTHERS, PENDING, PENDING_MS, UNIVERSAL, client_settings, listening, opened, reason
+from netem.wire.session import (
+    BASE,
+    OTHERS,
+    PENDING,
+    PENDING_MS,
+    UNIVERSAL,
+    client_settings,
+    listening,
+    reason,
+    session_of,
+)
 
 log = logging.getLogger(__name__)
 
@@ -123,23 +133,23 @@ class Robot:
     the outlet: `mirror`, `withdraw`, `ask` and `hand`.
     """
 
-    def __init__(self, access: RobotEndpoint, carry: Sequence[str], inlet: Inlet) -> None:
+    def __init__(self, endpoint: RobotEndpoint, carry: Sequence[str], inlet: Inlet) -> None:
         """Open its session. Raises BusError: the address is in use, nobody answers there, or a file is no configuration
         of zenoh.
         """
-        self.number, self.name = access.number, access.name
+        self.number, self.name = endpoint.number, endpoint.name
         self.stayed: Counter[str] = Counter()  # by key: what no expression of `carry` includes, although it meets one
         self.matched: set[int] = set()  # the numbers of the expressions of `carry` that something came on
         self.placed: deque[tuple[str, bytes]] = deque(maxlen=1)  # key and message that say last where it is
         self._inlet, self._put = inlet, inlet.put
-        before = _listened() if access.listen.endswith(ANY_PORT) else None
-        self._session = _opened(access)
+        before = _listening_ports() if endpoint.listen.endswith(ANY_PORT) else None
+        self._session = _open_session(endpoint)
         # zenoh tells nobody which port the system gave it.
-        self.port = None if before is None else next(iter(_listened() - before), None)
+        self.port = None if before is None else next(iter(_listening_ports() - before), None)
         self.outlet = Outlet()
         self._mirrored: dict[str, Any] = {}  # tokens of others that we show here
         self._served: dict[str, tuple[Any, set[str]]] = {}  # services of others by key, with the tokens that say so
-        carry = () if access.silent else carry
+        carry = () if endpoint.silent else carry
         # Advanced publishers, as those of transient local topics, answer below their key; ** does not include @.
         below = [f"{key.removesuffix('/**').removesuffix('**')}/**/@adv/**" for key in carry if "@" not in key]
         self._carry = [zenoh.KeyExpr(text) for text in (*carry, *(key.removeprefix("/") for key in below))]
@@ -422,28 +432,28 @@ def _direct(handler: Callable[[Any], None]) -> Any:
     return zenoh.handlers.Callback(handler, indirect=False)
 
 
-def _listened() -> set[int]:
+def _listening_ports() -> set[int]:
     """The ports of TCP that this process listens on."""
     import psutil  # here, because it is long to load, and few robots have a port that the system chooses
 
     return {one.laddr.port for one in psutil.Process().net_connections("tcp") if one.status == psutil.CONN_LISTEN}
 
 
-def _opened(access: RobotEndpoint) -> zenoh.Session:
+def _open_session(endpoint: RobotEndpoint) -> zenoh.Session:
     try:
-        config = zenoh.Config.from_file(access.config) if access.config else zenoh.Config()
+        config = zenoh.Config.from_file(endpoint.config) if endpoint.config else zenoh.Config()
     except zenoh.ZError as error:
-        raise BusError(f"{access.name}: {access.config} is no configuration of zenoh ({reason(error)})") from None
+        raise BusError(f"{endpoint.name}: {endpoint.config} is no configuration of zenoh ({reason(error)})") from None
     settings = dict(_SETTINGS)
-    if access.listen:
-        settings |= {"mode": "router", "connect/endpoints": []} | listening([access.listen])
-        problem = f"{access.name}: cannot listen on {access.listen}"
+    if endpoint.listen:
+        settings |= {"mode": "router", "connect/endpoints": []} | listening([endpoint.listen])
+        problem = f"{endpoint.name}: cannot listen on {endpoint.listen}"
     else:
-        settings |= {"mode": "client", "listen/endpoints": []} | client_settings([access.connect], None, 5000)
-        problem = f"{access.name}: no router answers at {access.connect}"
+        settings |= {"mode": "client", "listen/endpoints": []} | client_settings([endpoint.connect], None, 5000)
+        problem = f"{endpoint.name}: no router answers at {endpoint.connect}"
     try:
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
-        return opened(config)
+        return session_of(config)
     except zenoh.ZError as error:
         raise BusError(f"{problem} ({reason(error)})") from None

@@ -15,7 +15,7 @@ import zenoh.ext
 
 from netem.errors import BusError
 from netem.wire.open_bus import OpenBus, OpenPublication
-from netem.wire.session import OTHERS, UNIVERSAL, client_settings, listening, opened, reason
+from netem.wire.session import OTHERS, UNIVERSAL, client_settings, listening, reason, session_of
 
 # The variables of rmw_zenoh: a file of zenoh's settings, and single ones as "key=value;key=value".
 SESSION_FILE, SETTINGS = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"
@@ -64,7 +64,7 @@ class RosBus(OpenBus):
             for key, value in _ROS.items():
                 config.insert_json5(key, json.dumps(value))
             where = [json.loads(config.get_json(f"{way}/endpoints")) for way in ("connect", "listen")]
-            return cls(opened(config), ", ".join(map(str, filter(None, where))))
+            return cls(session_of(config), ", ".join(map(str, filter(None, where))))
         except zenoh.ZError as error:
             named = f"{SESSION_FILE}={path}" if path else f"{SETTINGS}={single}"
             raise BusError(f"zenoh does not take {named:.200}: {reason(error)}") from None
@@ -101,7 +101,7 @@ class RosBus(OpenBus):
 
         self._held.append(self._session.liveliness().declare_subscriber(key, receive, history=True))
 
-    def latched(self, key: str) -> Callable[[bytes, bytes], None]:
+    def latched_publisher(self, key: str) -> Callable[[bytes, bytes], None]:
         """A publisher that puts payload and attachment on a key, and keeps the last for subscribers that come later."""
         publisher = zenoh.ext.declare_advanced_publisher(
             self._session, key, cache=zenoh.ext.CacheConfig(1), publisher_detection=True

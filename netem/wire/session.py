@@ -136,10 +136,10 @@ def open_session(mode: Literal["client", "router"], settings: dict[str, Any]) ->
     config = zenoh.Config()
     for key, value in ({"mode": mode} | BASE | settings).items():
         config.insert_json5(key, json.dumps(value))
-    return opened(config)
+    return session_of(config)
 
 
-def opened(config: zenoh.Config) -> zenoh.Session:
+def session_of(config: zenoh.Config) -> zenoh.Session:
     """A session of a configuration. Raises zenoh.ZError if it cannot be opened, or would remove a file to listen."""
     for path in re.findall(r'"unixsock-stream/([^"?#]+)', config.get_json("listen/endpoints")):
         if wrong := socket_place(Path(json.loads(f'"{path}"'))):

@@ -270,7 +270,7 @@ def table(extrapolation: Any = "hold") -> NeighbourTable:
 def test_neighbours_come_in_one_order() -> None:
     t = table()
     t.absorb([delivery(3, 5), delivery(1, 5)], 6)
-    assert [h.weight for h in t.heard(6)] == [1.0, 0.8]
+    assert [h.weight for h in t.states_at(6)] == [1.0, 0.8]
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_neighbours_come_in_one_order() -> None:
 def test_extrapolation(mode: str, x: float, y: float) -> None:
     t = table(mode)
     t.absorb([delivery(1, 20, (4.0, 1.0, 2.0), (0.5, 0.0, 0.0))], 25)
-    assert t.heard(50)[0].position == pytest.approx((x, y, 2.0))
+    assert t.states_at(50)[0].position == pytest.approx((x, y, 2.0))
 
 
 @given(st.permutations([10, 20, 20, 30, 40]))
@@ -287,14 +287,14 @@ def test_the_newest_by_sending_wins_in_any_order_of_arrival(order: list[int]) ->
     t = table()
     for sent in order:
         t.absorb([delivery(1, sent, (float(sent), 0.0, 0.0))], 100)
-    assert t.heard(100)[0].position == (40.0, 0.0, 0.0)
+    assert t.states_at(100)[0].position == (40.0, 0.0, 0.0)
     assert sum(t.counters.values()) == len(order)
 
 
 def test_a_duplicate_is_ignored_and_a_late_message_is_superseded() -> None:
     t = table()
     t.absorb([delivery(1, 20, (1.0, 0.0, 0.0)), delivery(1, 20, (2.0, 0.0, 0.0)), delivery(1, 10)], 30)
-    assert t.heard(30)[0].position == (1.0, 0.0, 0.0)
+    assert t.states_at(30)[0].position == (1.0, 0.0, 0.0)
     assert (t.counters["accepted"], t.counters["duplicate"], t.counters["superseded"]) == (1, 1, 1)
 
 
@@ -304,11 +304,11 @@ def test_extrapolation_ends_at_its_cap_and_silence_ends_a_neighbours_weight() ->
     config = replace(agent_config(1), neighbours=neighbours, extrapolation="neighbour")
     t = NeighbourTable(replace(config, age_cap_s=0.5, drop_after_s=2.0), FullCodec())
     t.absorb([delivery(1, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))], 1)
-    assert [t.heard(k)[0].position[0] for k in (40, 50, 51, 200)] == pytest.approx([0.4, 0.5, 0.5, 0.5])
-    assert t.heard(200)[0].age == pytest.approx(2.0)
-    assert t.heard(201) == ()
+    assert [t.states_at(k)[0].position[0] for k in (40, 50, 51, 200)] == pytest.approx([0.4, 0.5, 0.5, 0.5])
+    assert t.states_at(200)[0].age == pytest.approx(2.0)
+    assert t.states_at(201) == ()
     t.absorb([delivery(1, 190, (9.0, 0.0, 0.0))], 202)
-    assert len(t.heard(202)) == 1
+    assert len(t.states_at(202)) == 1
 
 
 def test_what_cannot_be_used_is_counted_and_dropped() -> None:
@@ -316,7 +316,7 @@ def test_what_cannot_be_used_is_counted_and_dropped() -> None:
     corrupt = delivery(1, 20)._replace(payload=bytes(SIZE))
     t.absorb([corrupt, corrupt._replace(payload=b"hello")], 30)
     t.absorb([delivery(1, 20, sender=3), delivery(4, 20), delivery(1, 31)], 30)
-    assert t.heard(30) == ()
+    assert t.states_at(30) == ()
     counted = {cause: n for cause, n in t.counters.items() if n}
     assert counted == {"checksum": 1, "length": 1, "wrong_sender": 2, "from_future": 1}
 

@@ -112,7 +112,7 @@ def test_agents_speak_and_understand_it() -> None:
     assert len(payload) == SIZE
     two.step(structs.replace(nav, eta=(0.0,) * 5), ())
     two.step(structs.replace(nav, tick=7, eta=(0.0,) * 5), [Delivery(7, 0, 1, 0, 0, payload)])
-    [heard] = two._neighbours.heard(7)
+    [heard] = two._neighbours.states_at(7)
     assert (heard.id, heard.age) == (1, 0.07)
     assert heard.velocity == (0.7, 0.0, 0.0)
     assert two.counters()["accepted"] == 1

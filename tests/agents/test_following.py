@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from marks import slow
 
-from agents.agent import Agent, followed
+from agents.agent import Agent, motion_from_neighbours
 from agents.api import NeighbourState
 from agents.config import AgentConfig
 from agents.offset import Offset, OffsetChange
@@ -42,20 +42,20 @@ def test_where_all_agree_everybody_belongs_to_the_same_place(
         position = (place[0] - delta[0], place[1] - delta[1], place[2] - delta[2])
         heard.append(NeighbourState(j, weight, delta, position, velocity, 0.1))
         offsets[j] = Offset(delta)
-    found = followed((0.0, 0.0, 0.0), heard, offsets, 1.0)
+    found = motion_from_neighbours((0.0, 0.0, 0.0), heard, offsets, 1.0)
     assert found.position == pytest.approx(place, abs=1e-9)
     assert found.velocity == pytest.approx(velocity, abs=1e-9)
 
 
 def test_who_hears_nobody_stays_where_it_is() -> None:
-    assert followed((1.0, 2.0, 3.0), (), {}, 0.0) == ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
+    assert motion_from_neighbours((1.0, 2.0, 3.0), (), {}, 0.0) == ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
 
 
 def test_a_formation_that_changes_moves_the_place() -> None:
     """Delta_ij moves by 10 m in 10 s: at its middle 1.875 m/s, the peak of the quintic."""
     offset = Offset((0.0, 0.0, 0.0), (OffsetChange(0.0, 10.0, (10.0, 0.0, 0.0)),))
     heard = [NeighbourState(1, 1.0, offset.at(5.0).position, (0.0, 0.0, 0.0), (0.5, 0.0, 0.0), 0.0)]
-    found = followed((0.0, 0.0, 0.0), heard, {1: offset}, 5.0)
+    found = motion_from_neighbours((0.0, 0.0, 0.0), heard, {1: offset}, 5.0)
     assert found.position == pytest.approx((5.0, 0.0, 0.0))
     assert found.velocity == pytest.approx((0.5 + 1.875, 0.0, 0.0))
 

@@ -18,7 +18,7 @@ from agents.api import Sample
 from agents.codecs import FullCodec
 from agents.config import AgentConfig, Cylinder, KeepApartParams
 from agents.controllers import layout
-from agents.laws.keep_apart import SLACK, Bound, KeepApart, Seen, apart, bounds, margin
+from agents.laws.keep_apart import SLACK, Bound, KeepApart, Seen, bounds, filter_velocity, margin
 from agents.neighbours import NeighbourTable
 from agents.payload import StateMessage, encode
 from agents.trajectory import Motion
@@ -26,7 +26,7 @@ from fleet.analysis.preflight import warnings
 from fleet.errors import ScenarioError
 from fleet.scenario.loading import parse_scenario
 from netem.wire.messages import Delivery
-from world.vectors import ZERO, Vec3, dot, minus, moved, plus, scale
+from world.vectors import ZERO, Vec3, dot, minus, move_along, plus, scale
 
 PARAMS = KeepApartParams(
     distance=3.0, obstacles=(), gain=0.3, lag_s=1.0, slew=0.3, acceleration=0.5, speed=1.5, climb=0.1, age_cap_s=2.0
@@ -56,7 +56,7 @@ def test_every_constraint_holds_where_all_can(rows: list[tuple[Vec3, float]], po
     possible = (x, y, 0.1 * z)
     found = [Bound(unit(n), dot(unit(n), possible) - room, ZERO) for n, room in rows]
     ahead = Bound((1.0, 0.0, 0.0), x - 0.01, ZERO)
-    answer, active, slack = apart(rho, found, ahead, PARAMS)
+    answer, active, slack = filter_velocity(rho, found, ahead, PARAMS)
     assert slack == 0.0
     assert all(dot(n, answer) >= least - SLACK for n, least, _ in found)
     if all(dot(n, rho) >= least for n, least, _ in found):
@@ -73,7 +73,7 @@ def test_every_constraint_holds_where_all_can(rows: list[tuple[Vec3, float]], po
 def test_two_constraints_that_exclude_each_other_are_missed_alike_and_told(n: Vec3, rho: Vec3) -> None:
     n = unit(n)
     found = [Bound(n, 0.5, ZERO), Bound(scale(n, -1.0), 0.5, ZERO)]
-    answer, active, slack = apart(rho, found, NOWHERE, PARAMS)
+    answer, active, slack = filter_velocity(rho, found, NOWHERE, PARAMS)
     assert abs(slack - 0.5) < 1e-4
     assert active == 2
     assert abs(dot(n, answer)) < 1e-4
@@ -94,7 +94,7 @@ def test_the_margin_covers_what_a_neighbour_can_have_done(start: float, heading:
     for push in pushes:
         pushed = plus(v, course(PARAMS.acceleration * dt, push))
         assume(math.hypot(*pushed) <= PARAMS.speed)
-        p, v = moved(p, scale(plus(v, pushed), 0.5), dt), pushed
+        p, v = move_along(p, scale(plus(v, pushed), 0.5), dt), pushed
     age = dt * len(pushes)
     away, faster = math.hypot(*minus(p, scale(v0, age))), math.hypot(*minus(v, v0))
     assert away + (1.0 / PARAMS.gain + PARAMS.lag_s) * faster <= margin(age, start, PARAMS) + 1e-9
@@ -113,10 +113,10 @@ def test_two_vehicles_that_lag_keep_the_distance(
         commands = []
         for i, j in ((0, 1), (1, 0)):
             found = bounds(p[i], v[i], [Seen(j + 1, p[j], v[j], 0.0)], PARAMS)
-            commands.append(apart(wanted[i], found, NOWHERE, PARAMS).rho)
+            commands.append(filter_velocity(wanted[i], found, NOWHERE, PARAMS).rho)
         for i, lag in ((0, lag1), (1, lag2)):
-            v[i] = moved(v[i], minus(commands[i], v[i]), dt / lag)
-            p[i] = moved(p[i], v[i], dt)
+            v[i] = move_along(v[i], minus(commands[i], v[i]), dt / lag)
+            p[i] = move_along(p[i], v[i], dt)
         least = min(least, math.dist(*p))
     assert least > PARAMS.distance - 0.05  # of a step
 
@@ -128,9 +128,9 @@ def test_a_vehicle_that_lags_stays_out_of_a_cylinder(speed: float, start: float,
     p = plus((1.0, 2.0, 7.0), course(10.0, start))
     wanted, v, dt = course(speed, start + math.pi), ZERO, 0.05  # straight at its axis
     for _ in range(400):
-        rho = apart(wanted, bounds(p, v, [], params), NOWHERE, params).rho
-        v = moved(v, minus(rho, v), dt / lag)
-        p = moved(p, v, dt)
+        rho = filter_velocity(wanted, bounds(p, v, [], params), NOWHERE, params).rho
+        v = move_along(v, minus(rho, v), dt / lag)
+        p = move_along(p, v, dt)
         assert math.dist(p[:2], (1.0, 2.0)) > 4.0 - 0.02
 
 
@@ -143,11 +143,11 @@ def test_head_on_both_turn_to_starboard_and_pass() -> None:
         commands = []
         for i, j in ((0, 1), (1, 0)):
             found = bounds(p[i], v[i], [Seen(j + 1, p[j], v[j], 0.0)], PARAMS)
-            commands.append(apart(wanted[i], found, NOWHERE, PARAMS).rho)
+            commands.append(filter_velocity(wanted[i], found, NOWHERE, PARAMS).rho)
             slowest = min(slowest, math.hypot(*commands[i]))
         for i in (0, 1):
-            v[i] = moved(v[i], minus(commands[i], v[i]), dt)
-            p[i] = moved(p[i], v[i], dt)
+            v[i] = move_along(v[i], minus(commands[i], v[i]), dt)
+            p[i] = move_along(p[i], v[i], dt)
     assert p[0][0] > 20.0 > 0.0 > p[1][0]
     assert p[0][1] > 0.5 > -0.5 > p[1][1]
     assert slowest > 0.3
@@ -173,7 +173,7 @@ def test_who_lies_commands_no_more_than_the_limits() -> None:
     own = (-0.8198351009023108, 0.6446614719310506, 0.019146732905085395)
     rho = (1.0581352924977927, 0.2818074237756427, 0.33212083406733894)
     ahead = Bound((math.cos(2.7652084546664186), math.sin(2.7652084546664186), 0.0), 0.05, ZERO)
-    north, east, down = apart(rho, bounds(ZERO, own, told, PARAMS), ahead, PARAMS).rho
+    north, east, down = filter_velocity(rho, bounds(ZERO, own, told, PARAMS), ahead, PARAMS).rho
     assert max(abs(north), abs(east)) <= PARAMS.speed and abs(down) <= abs(rho[2])
 
 
@@ -182,12 +182,12 @@ def test_the_table_gives_states_as_they_were_sampled_and_leaves_out_whom_it_drop
     table = NeighbourTable(scenario.agent_config(2), FullCodec())
     state = StateMessage(3, 5, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0))
     table.absorb([Delivery(30, 5, 3, 0, 0, encode(state))], 30)
-    table.heard(30)
-    assert table.seen() == [Seen(3, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.25)]
+    table.states_at(30)
+    assert table.sampled_states() == [Seen(3, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.25)]
     last = 5 + 100  # one second later
-    assert [heard.id for heard in table.heard(last)] == [seen.id for seen in table.seen()] == [3]
-    assert table.heard(last + 1) == ()
-    assert table.seen() == []
+    assert [heard.id for heard in table.states_at(last)] == [seen.id for seen in table.sampled_states()] == [3]
+    assert table.states_at(last + 1) == ()
+    assert table.sampled_states() == []
 
 
 def test_warnings_tell_what_cannot_be_kept_apart() -> None:
@@ -294,7 +294,7 @@ def test_builds_of_the_solver_give_the_same_bits(monkeypatch: pytest.MonkeyPatch
             module = import_module(f"piqp.{build}")
             monkeypatch.setattr(piqp, "DenseSolver", module.DenseSolver)
             monkeypatch.setattr(piqp, "PIQP_SOLVED", module.PIQP_SOLVED)
-            answers.append(apart(rho, found, ahead, PARAMS).rho)
+            answers.append(filter_velocity(rho, found, ahead, PARAMS).rho)
         return answers
 
     if not instruction_set.avx2:

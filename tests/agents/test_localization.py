@@ -22,7 +22,7 @@ from agents.errors import PayloadError
 from agents.localization import payload
 from agents.localization.localizer import Localizer
 from agents.localization.mirror_image import MirrorImage, PlaceEstimate
-from agents.localization.range_fusion import fused, grown
+from agents.localization.range_fusion import fuse_range, grown
 from agents.payload import StateMessage
 from netem.wire.messages import Delivery, Nav
 
@@ -69,13 +69,15 @@ def test_a_range_makes_no_estimate_worse_and_intersection_is_less_sure(
 ) -> None:
     where = (200.0 * cos(a), 200.0 * sin(a))
     given_ = ((0.0, 0.0), (own, 0.0, own), where, (other, 0.0, other), 0.0, 200.0 + 0.01 * error, 0.25)
-    alone = fused(*given_, independent=True)
+    alone = fuse_range(*given_, independent=True)
     assert alone is not None
     assert alone.covariance[0] + alone.covariance[2] < 2 * own
-    across = fused(*given_, independent=False)
+    across = fuse_range(*given_, independent=False)
     if across is not None:
         assert alone.covariance[0] + alone.covariance[2] < across.covariance[0] + across.covariance[2] < 2 * own
-    assert fused((0.0, 0.0), (own, 0.0, own), (0.0, 0.05), (1.0, 0.0, 1.0), 0.0, 1.0, 0.25, independent=True) is None
+    assert (
+        fuse_range((0.0, 0.0), (own, 0.0, own), (0.0, 0.05), (1.0, 0.0, 1.0), 0.0, 1.0, 0.25, independent=True) is None
+    )
 
 
 def test_a_covariance_grows_in_the_directions_in_which_the_other_grew() -> None:
@@ -180,14 +182,14 @@ def exchanged(method: Method, seed: int, hardship: Hardship) -> list[list[tuple[
         asked = [nav(tick, true[i][0] + off[i][0], true[i][1] + off[i][1], SIGMA[i] ** 2, SPEED[i]) for i in (0, 1)]
         for i in alive:
             far = hypot(true[0][0] - true[1][0], true[0][1] - true[1][1]) + draw.gauss(0, 0.5)
-            state = StateMessage(i + 1, tick, both[i].located(asked[i]).eta[:3], (SPEED[i], 0.0, 0.0))  # type: ignore[arg-type]
+            state = StateMessage(i + 1, tick, both[i].locate(asked[i]).eta[:3], (SPEED[i], 0.0, 0.0))  # type: ignore[arg-type]
             data = payload.encode(both[i].message(state))
             if draw.random() >= hardship.loss:
                 due = tick + hardship.delay
                 under_way.append((1 - i, Delivery(due, due, i + 1, tick, 0, data, far, 0.5, tick)))
         for i in alive:
             both[i].absorb(asked[i], [heard for to, heard in under_way if (to, heard.due_tick) == (i, tick)])
-            x, y, nn, ne, ee = *both[i].located(asked[i]).eta[:2], *both[i].telemetry()[3:6]
+            x, y, nn, ne, ee = *both[i].locate(asked[i]).eta[:2], *both[i].telemetry()[3:6]
             dx, dy = x - true[i][0], y - true[i][1]
             found[i].append(((ee * dx * dx - 2 * ne * dx * dy + nn * dy * dy) / (nn * ee - ne * ne), nn + ee))
     return found
@@ -225,7 +227,7 @@ def test_a_vehicle_that_small_fixes_keep_as_sure_as_it_is_stays_an_aid(fixes: bo
     for k in range(6000):
         t = k * round_s
         variance = 0.2 * (1.001 if k % 10 else 1.0) if fixes else 1.0 + (0.035 * t) ** 2
-        localizer.located(nav(round(t / TICK_S), t, 0.0, variance))
+        localizer.locate(nav(round(t / TICK_S), t, 0.0, variance))
         if t > 100.0:
             assert localizer.message(state).fixed == fixes, t
 

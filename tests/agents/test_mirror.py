@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.localization.mirror_image import MirrorImage, PlaceEstimate, distance
-from agents.localization.range_fusion import Covariance, Fused, fused
+from agents.localization.range_fusion import Covariance, Fused, fuse_range
 
 TRUE, NAVIGATOR = (3.0, 25.0), PlaceEstimate((0.0, -22.0), (625.0, 0.0, 625.0))
 SURE: Covariance = (0.25, 0.0, 0.25)
@@ -19,7 +19,7 @@ SURE: Covariance = (0.25, 0.0, 0.25)
 def with_range(own: PlaceEstimate, sender: tuple[float, float]) -> Fused:
     """The exact range from a sender to the true place."""
     range_m = hypot(TRUE[0] - sender[0], TRUE[1] - sender[1])
-    found = fused(own.place, own.covariance, sender, (0.01, 0.0, 0.01), 0.0, range_m, 0.25, True)
+    found = fuse_range(own.place, own.covariance, sender, (0.01, 0.0, 0.01), 0.0, range_m, 0.25, True)
     assert found is not None
     return found
 
@@ -36,7 +36,7 @@ def along(mirror: MirrorImage, own: PlaceEstimate, senders: list[tuple[float, fl
             mirror.other = PlaceEstimate((image.north, image.east), image.covariance)
             mirror.settle()
         own = PlaceEstimate((found.north, found.east), found.covariance)
-        mirror.seen(sender, 0.02, own, NAVIGATOR)
+        mirror.on_range(sender, 0.02, own, NAVIGATOR)
     return own
 
 
@@ -63,14 +63,16 @@ def test_a_straight_way_leaves_it_open_and_a_turn_tells() -> None:
 def test_one_that_the_navigator_contradicts_is_none() -> None:
     mirror = MirrorImage()
     for sender in STRAIGHT:
-        mirror.seen(sender, 0.02, PlaceEstimate((3.0, -25.0), SURE), PlaceEstimate((0.0, -22.0), (100.0, 0.0, 100.0)))
+        mirror.on_range(
+            sender, 0.02, PlaceEstimate((3.0, -25.0), SURE), PlaceEstimate((0.0, -22.0), (100.0, 0.0, 100.0))
+        )
     assert mirror.other is None
 
 
 def test_a_crooked_way_or_a_short_one_has_no_mirror_image() -> None:
     mirror = MirrorImage()
     for sender in STRAIGHT[:5]:
-        mirror.seen(sender, 0.02, PlaceEstimate((3.0, -25.0), SURE), NAVIGATOR)
+        mirror.on_range(sender, 0.02, PlaceEstimate((3.0, -25.0), SURE), NAVIGATOR)
     assert mirror.other is None
 
 
@@ -82,7 +84,7 @@ def test_it_is_as_far_from_every_point_of_the_line(bearing: float, ahead: float,
     line = [(k * n, k * e) for k in range(-20, 21, 2)]
     mirror = MirrorImage()
     for sender in line:
-        mirror.seen(sender, 0.0, own, PlaceEstimate(own.place, (1e6, 0.0, 1e6)))
+        mirror.on_range(sender, 0.0, own, PlaceEstimate(own.place, (1e6, 0.0, 1e6)))
     assert mirror.other is not None
     for north, east in line:
         lengths = [hypot(place[0] - north, place[1] - east) for place in (own.place, mirror.other.place)]

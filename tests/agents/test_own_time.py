@@ -13,7 +13,7 @@ from agents import compact
 from agents.agent import Agent
 from agents.formation_agent import FormationAgent
 from agents.neighbours import AHEAD_S
-from agents.own_time import OwnNav, by_own_clock, by_simulated_time, received_by_own_clock
+from agents.own_time import OwnNav, deliveries_to_own_clock, to_own_clock, to_simulated_time
 from agents.payload import StateMessage, encode
 from fleet.scenario.scenario import Scenario
 from netem.wire.messages import Delivery, Nav
@@ -68,17 +68,17 @@ def test_a_whole_agent_gets_its_own_ticks_and_the_formation_keeps_its_samples() 
     ticks = []
     for tick, ahead_ms in ((0, -5.0), (1, -11.0), (2, -20.0), (3, 50.0), (4, 0.0)):
         sent = nav(tick, max(ahead_ms, -10.0 * tick))
-        own = by_own_clock(sent, 10_000_000)
-        assert isinstance(own, OwnNav) and by_simulated_time(own) == sent
+        own = to_own_clock(sent, 10_000_000)
+        assert isinstance(own, OwnNav) and to_simulated_time(own) == sent
         ticks.append(own.tick)
         tau, told = formation.decide(own, [])
         again, _ = plain.decide(sent, [])
         assert tau == again and told["neighbours_heard"] == 0
     assert ticks == [0, 0, 0, 8, 4]
     assert min(b - a for a, b in pairwise(ticks)) < 0
-    assert by_own_clock(nav(3), 10_000_000) is not None and not isinstance(by_own_clock(nav(3), 1), OwnNav)
+    assert to_own_clock(nav(3), 10_000_000) is not None and not isinstance(to_own_clock(nav(3), 1), OwnNav)
     due = Delivery(2, 77, 1, 0, 0, b"")
-    assert received_by_own_clock([due], by_own_clock(nav(3, 50.0), 10_000_000)) == [Delivery(7, 77, 1, 0, 0, b"")]
+    assert deliveries_to_own_clock([due], to_own_clock(nav(3, 50.0), 10_000_000)) == [Delivery(7, 77, 1, 0, 0, b"")]
 
 
 def test_a_range_comes_with_the_state_it_was_measured_with_and_stays_with_it() -> None:
@@ -86,9 +86,9 @@ def test_a_range_comes_with_the_state_it_was_measured_with_and_stays_with_it() -
     agent = Agent(small().agent_config(2))
     ranged = Delivery(10, 9, 1, 0, 0, state(9), 12.5, 0.5, 8)
     agent.decide(nav(10), [ranged])
-    (heard,) = agent._neighbours.heard(11)
+    (heard,) = agent._neighbours.states_at(11)
     assert (heard.range_m, heard.range_sd_m) == (12.5, 0.5)
     agent.decide(nav(20), [Delivery(20, 19, 1, 1, 0, state(19))])
-    assert agent._neighbours.heard(21)[0].range_m is None
-    shown = by_own_clock(nav(10, 50.0), 10_000_000)
-    assert received_by_own_clock([ranged], shown)[0].range_tick == 13
+    assert agent._neighbours.states_at(21)[0].range_m is None
+    shown = to_own_clock(nav(10, 50.0), 10_000_000)
+    assert deliveries_to_own_clock([ranged], shown)[0].range_tick == 13

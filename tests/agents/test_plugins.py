@@ -116,9 +116,9 @@ def nav(tick: int) -> Any:
 @pytest.fixture(autouse=True)
 def _read_entry_points_anew() -> Iterator[None]:
     """They are read once per process."""
-    loading.installed.cache_clear()
+    loading.entry_points_of.cache_clear()
     yield
-    loading.installed.cache_clear()
+    loading.entry_points_of.cache_clear()
 
 
 def test_entry_points_are_read_once_for_all_vehicles(
@@ -220,7 +220,7 @@ def test_an_entry_point_that_cannot_be_used(module: Callable[[str], str], monkey
         hide[written] = "mine"
         point = EntryPoint("my-law", f"{written}:{attribute}", loading.LAWS)
         monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == loading.LAWS else [])
-        loading.installed.cache_clear()
+        loading.entry_points_of.cache_clear()
         with pytest.raises(ScenarioError) as refused:
             scenario("controller=my-law")
         raise AgentError(refused.value.problems[0].message)

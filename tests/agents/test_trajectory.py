@@ -262,7 +262,7 @@ def test_reference_extrapolation_is_exact_in_formation(reference: Reference, dat
     table = table_of(delta, "reference", reference, own)
     payload = encode(StateMessage(2, sent, place(sent), (0.0, 0.0, 0.0)))
     table.absorb([Delivery(sent + age, sent, 2, 0, 0, payload)], sent + age)
-    (heard,) = table.heard(sent + age)
+    (heard,) = table.states_at(sent + age)
     assert heard.position == pytest.approx(place(sent + age), abs=1e-6)
     assert heard.age == pytest.approx(age * 0.01)
 
@@ -280,7 +280,7 @@ def test_only_the_reference_knows_the_turn_and_the_change(mode: Any, in_place: b
         [plus(a, b) for a, b in zip(circle.at(t), other.at(t), strict=True)] for t in (18.0, 20.0)
     )  # position, velocity
     table.absorb([Delivery(1810, 1800, 2, 0, 0, encode(StateMessage(2, 1800, then[0], then[1])))], 1810)
-    (heard,) = table.heard(2000)
+    (heard,) = table.states_at(2000)
     assert (math.dist(heard.position, now[0]) < 1e-9) is in_place
     # Then the sum of the consensus error is zero for a vehicle that is in place as well.
     mine = plus(circle.at(20.0).position, own.at(20.0).position)

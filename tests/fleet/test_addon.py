@@ -24,7 +24,7 @@ from fleet import addon
 from fleet.addon import AddOn, Verb
 from fleet.addons import api
 from fleet.cli import verbs
-from fleet.cli.companion import Beside, Companion, Companions
+from fleet.cli.companion import Companion, Companions, RunCompanion
 from fleet.cli.declare import command
 from fleet.cli.exporter import Exporter
 from fleet.cli.group import command_of
@@ -33,7 +33,7 @@ from fleet.errors import ScenarioError
 from fleet.execution.options import Options
 from fleet.mcap.other import OtherData
 from fleet.option import Option
-from fleet.scenario.faults.kind import OfFleet
+from fleet.scenario.faults.kind import FleetFaultKind
 from fleet.scenario.faults.kinds import KINDS, every_kind
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -74,14 +74,14 @@ class Lamp(Companion):
         return how
 
     @contextmanager
-    def beside(self, how: Options) -> Iterator[Beside]:
+    def start(self, how: Options) -> Iterator[RunCompanion]:
         HEARD.append("on")
         yield _Shining()
         HEARD.append("off")
 
 
-class _Shining(Beside):
-    def over(self, directory: Path) -> None:
+class _Shining(RunCompanion):
+    def on_run_ended(self, directory: Path) -> None:
         HEARD.append(f"over, with a log: {(directory / 'run.mcap').exists()}")
 
 
@@ -116,7 +116,7 @@ class Tape(OtherData):
         file.write_bytes(path.read_bytes()[::-1])
 
 
-class SquallFault(OfFleet):
+class SquallFault(FleetFaultKind):
     """A gust for everybody."""
 
     value, example = float, "squall 3"
@@ -146,7 +146,7 @@ class Broken:
     class Loud(SquallFault):
         name = "loud \x1b[31m"
 
-    class NoExample(OfFleet):
+    class NoExample(FleetFaultKind):
         name, value = "bare", float
 
     class KeylessList(Listing):
@@ -230,7 +230,7 @@ HALF = AddOn(  # each part of it is wrong in its own way
     fault_kinds=("no_such_module:KIND",),
 )
 loudness = 11
-CACHES: tuple[Any, ...] = (addon.installed, addon.parts, verbs.headings, verbs.every_verb, fleet._every_name)
+CACHES: tuple[Any, ...] = (addon.installed_addons, addon.parts, verbs.headings, verbs.every_verb, fleet._every_name)
 
 
 def __getattr__(name: str) -> Any:
@@ -296,7 +296,7 @@ def test_a_part_that_cannot_be_used_hurts_no_other(made: Alone) -> None:
     assert invoke("about", "--schemas", "run").exit_code == 0
     assert fleet.open_log(log).digest
     about = invoke("about").stdout  # it loads every part
-    left_out = addon.installed().left_out
+    left_out = addon.installed_addons().left_out
     assert {
         "uneven.companions",
         "uneven.exporters",
@@ -341,7 +341,9 @@ def test_errors_that_cannot_say_what_they_are(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == addon.GROUP else [])
     _forget()
     try:
-        assert list(addon.installed().left_out.values()) == ["silent_addon:ADDON: Silent, whose text cannot be made"]
+        assert list(addon.installed_addons().left_out.values()) == [
+            "silent_addon:ADDON: Silent, whose text cannot be made"
+        ]
         assert "\x1b" not in invoke("about").stdout and "\x1b" not in invoke("shoutt").stderr
     finally:
         _forget()
@@ -364,7 +366,7 @@ def test_the_api_of_add_ons_is_what_type_checkers_see_and_what_the_guide_lists()
     assert all(getattr(api, name) is not None for name in api.__all__)
     guide = (ROOT / "docs/guide/add-ons.md").read_text("utf-8")
     assert {name for name in api.__all__ if f"`{name}`" not in guide} == set()
-    with pytest.raises(AttributeError, match="it has Beside, "):
+    with pytest.raises(AttributeError, match="it has Companion, "):
         api.Verb  # noqa: B018
 
 
@@ -427,11 +429,11 @@ def test_a_kind_of_faults_is_one_more_and_takes_the_place_of_none() -> None:
 def test_a_check_may_be_named_by_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("few-leaders", "fleet.protocols.checks:AtMostOneLeader", "uuv_fleet.checks")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == point.group else [])
-    loading.installed.cache_clear()
+    loading.entry_points_of.cache_clear()
     try:
         result = fleet.run("election", set={"checks": {"few-leaders": {"per": "fleet"}}, "duration": "2 s"})
         assert result.checks[-1].check == "few-leaders"
         with pytest.raises(ScenarioError, match="few-leaders2"):
             load_scenario("election", ["checks={few-leaders2: {}}"])
     finally:
-        loading.installed.cache_clear()
+        loading.entry_points_of.cache_clear()

@@ -14,7 +14,7 @@ from repository import ROOT
 from spawned import python
 
 from fleet import __main__ as packages
-from fleet.__main__ import damaged, foreign
+from fleet.__main__ import damaged_package, foreign
 
 NAMES = ("agents", "world", "netem")
 OURS = ("-c", "from fleet.__main__ import main; main()")
@@ -92,7 +92,7 @@ def test_files_that_are_missing_within_are_noticed_where_they_are_imported(tmp_p
     done = python(*OURS, "check", "paper", cwd=tmp_path, environment={"PYTHONPATH": str(tmp_path)})
     assert (done.returncode, len(done.stderr.splitlines())) == (3, 1), done.stderr
     assert "not whole: No module named 'agents.plugins.laws'; install uuv-fleet into " in done.stderr
-    assert damaged(ImportError("no module", name="numpy")) == damaged(ImportError("no module")) == ""
+    assert damaged_package(ImportError("no module", name="numpy")) == damaged_package(ImportError("no module")) == ""
 
 
 def test_a_plug_in_notices_it_at_its_first_import(tmp_path: Path) -> None:

@@ -459,7 +459,7 @@ class Obedient:
     def set_network_faults(self, faults: Sequence[NetFault]) -> bool:
         return True
 
-    def without_agent(self) -> list[int]:
+    def vehicles_without_agent(self) -> list[int]:
         return []
 
     def _done(self, *_: Any) -> None:

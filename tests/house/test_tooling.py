@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from repository import ROOT
 from stretches import dealt
 
-from fleet.addons.hosts.protocol.page import FIELDS, page
+from fleet.addons.hosts.protocol.page import page
+from fleet.addons.hosts.protocol.scenario_slice import FIELDS
 from netem.fault_kinds import WorldFaultKind
 
 

@@ -446,7 +446,7 @@ def test_ledger_balances_and_every_fate_is_told_once_in_its_round(
     ledger.settle(everything)
     for link, (entered, duplicated) in netem.entered.items():
         ledger.enter(link, sent=entered, duplicated=duplicated)
-    assert not ledger.unbalanced()
+    assert not ledger.unbalanced_links()
     reached = sorted((f.src, f.dst, f.seq, f.copy, f.due_tick) for f in everything if f.cause == "delivered")
     told = [(d.src, i, d.seq, d.copy, d.due_tick) for inboxes, _ in out for i, box in inboxes.items() for d in box]
     assert reached == sorted(d for d in told if d[4] < end)

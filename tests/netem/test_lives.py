@@ -42,8 +42,8 @@ def test_lives_add_up(absences: list[Absence]) -> None:
     """Without an agent whenever an absence lasts; every end of such a time is another life."""
     lives = Lives(absences)
     missing = [any(a.begin <= k and (a.end is None or k < a.end) for a in absences) for k in range(END + 20)]
-    assert [lives.without_agent(1, k) for k in range(END + 20)] == missing
-    assert not any(lives.without_agent(2, k) for k in range(END))
+    assert [lives.lacks_agent(1, k) for k in range(END + 20)] == missing
+    assert not any(lives.lacks_agent(2, k) for k in range(END))
     # One that ends where the next begins has lived for no tick, and counts.
     ends = {a.end for a in absences if a.end is not None and not any(b.begin < a.end < (b.end or 99) for b in absences)}
     assert [lives.incarnation(1, k) for k in range(END + 20)] == [

@@ -46,19 +46,19 @@ class Ear:
         self.news: list[Any] = []
         self.frames: list[HeardFrame] = []
 
-    def heard(self, frame: HeardFrame) -> None:
+    def on_heard(self, frame: HeardFrame) -> None:
         self.frames.append(frame)
 
-    def sent(self, frame: SentFrame) -> None:
+    def on_sent(self, frame: SentFrame) -> None:
         self.news.append(Began(frame.tag, frame.at_ns, frame.airtime_ns))
 
-    def dropped(self, tag: Any, cause: Cause) -> None:
+    def on_dropped(self, tag: Any, cause: Cause) -> None:
         self.news.append(Unsent(tag, cause))
 
-    def reached(self, sound: Sound) -> None:
+    def on_reached(self, sound: Sound) -> None:
         self.news.append(SoundReached(*sound))
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         self.news.append(Spoiled(cause, at_ns, level))
 
 
@@ -85,7 +85,7 @@ def of_relay(said: Said, faults: tuple[NetFault, ...]) -> dict[int, list[Any]]:
                 begin = None if later is None else (tick + later) * TICK_NS
                 what = ModemRequest(src, src, 0, 7, payload, name, b"head", begin)
                 relay.take(RobotMessage(src, MODEM_MESSAGE, "modem", payload, now, what))
-        for due in list(relay.handed(now)):
+        for due in list(relay.due_messages(now)):
             relay.hand_to(ears[due.dst], due)  # type: ignore[arg-type]
             relay.settle(due, now, delivered=True)
     return {i: [*ears[i].news, *ears[i].frames] for i in PLACES}

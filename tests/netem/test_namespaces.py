@@ -84,12 +84,12 @@ def test_a_packet_that_no_link_takes_is_told_in_words() -> None:
 def test_a_system_without_namespaces_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(namespaces, "DEVICE", "/no/such/device")
     with pytest.raises(BusError, match=r"No such file or directory \(/no/such/device\)|Operation not permitted"):
-        namespaces.made(1)
+        namespaces.make_namespace(1)
 
 
 def test_programs_of_two_namespaces_meet_when_somebody_carries_their_packets() -> None:
     try:
-        ends = [namespaces.made(1), namespaces.made(2)]
+        ends = [namespaces.make_namespace(1), namespaces.make_namespace(2)]
     except BusError as error:
         pytest.skip(str(error))
     libc = ctypes.CDLL(None)

@@ -82,7 +82,7 @@ def test_ledger_balances_for_any_traffic(per_link: dict[Link, Given], traffic: l
     ledger.settle(fates)
     for link, (sent, duplicated) in netem.entered.items():
         ledger.enter(link, sent=sent, duplicated=duplicated)
-    assert not ledger.unbalanced()
+    assert not ledger.unbalanced_links()
     assert len({(f.src, f.dst, f.seq, f.copy) for f in fates}) == len(fates)
 
 

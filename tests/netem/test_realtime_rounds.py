@@ -73,7 +73,7 @@ def test_a_network_that_is_late_exchanges_nothing_after_the_end() -> None:
     """The end may be among what a tick that is overdue still takes in, and in front of the last of it."""
     config, bus, items = SHORT.netem_config, Nowhere(), Quiet()
     network = RealtimeNetemProcess(bus, KEYS, config, RealtimeRounds(config))  # type: ignore[arg-type]
-    network._shell.queue = items  # type: ignore[assignment]
+    network._mailbox.queue = items  # type: ignore[assignment]
     items.queue.append(Item(KEYS.round, encode(Pace(0, 0, 1000)), None))
     answers: list[bytes] = []
     items.queue.append(Item(KEYS.ctl("netem"), request("close", tick=10), answers.append))

@@ -51,7 +51,7 @@ def message(src: int, payload: bytes, at_ms: float = 0.0, to: int | None = None)
 def handed(relay: Relay, at_ms: float) -> list[DueMessage]:
     """What is due, and has been handed over at once."""
     at_ns = BEGIN_NS + round(at_ms * 1e6)
-    found = list(relay.handed(at_ns))
+    found = list(relay.due_messages(at_ns))
     for due in found:
         relay.settle(due, at_ns, delivered=True)
     return found
@@ -289,7 +289,7 @@ def test_delivered_is_what_was_handed_over(sent: list[tuple[int, str]], in_water
     expected: Counter[str] = Counter()
     for number, (src, _) in enumerate(sent):
         relay.take(message(src, bytes([number]), number * 3000.0))
-    for due in relay.handed(BEGIN_NS + 10**11):
+    for due in relay.due_messages(BEGIN_NS + 10**11):
         does = sent[due.payload[0]][1]
         if does != "keeps":
             relay.settle(due, BEGIN_NS + 10**11, delivered=does == "takes")

@@ -12,7 +12,7 @@ import pytest
 from netem.cause import Cause
 from netem.condition import Condition, Link
 from netem.config import NetemConfig
-from netem.endpoint import HeardFrame, Level, ModemRequest, Sea, SentFrame, Sound
+from netem.endpoint import HeardFrame, Level, ModemChannel, ModemRequest, SentFrame, Sound
 from netem.faults import NetFault
 from netem.modem import AcousticConfig, Modem
 from netem.relay import Relay
@@ -38,25 +38,25 @@ class Listener:
     def listen(self) -> str:
         raise AssertionError
 
-    def begin(self, sea: Sea) -> None:
+    def begin(self, channel: ModemChannel) -> None:
         raise AssertionError
 
     def close(self) -> None:
         raise AssertionError
 
-    def sent(self, frame: SentFrame) -> None:
+    def on_sent(self, frame: SentFrame) -> None:
         self.told.append(("sent", frame.tag, ms(frame.at_ns), frame.airtime_ns // 10**6))
 
-    def dropped(self, tag: Any, cause: Cause) -> None:
+    def on_dropped(self, tag: Any, cause: Cause) -> None:
         self.told.append(("dropped", tag, cause))
 
-    def heard(self, frame: HeardFrame) -> None:
+    def on_heard(self, frame: HeardFrame) -> None:
         self.told.append(("heard", frame.src, frame.to, frame.payload, ms(frame.sent_ns), ms(frame.begin_ns)))
 
-    def reached(self, sound: Sound) -> None:
+    def on_reached(self, sound: Sound) -> None:
         self.told.append(("reached", ms(sound.begin_ns), ms(sound.end_ns)))
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         self.told.append(("spoiled", cause))
 
 
@@ -93,9 +93,9 @@ def told(
             start_ns = None if start is None else BEGIN_NS + round(start * 1e6)
             request = ModemRequest(src, 100 + src, to, 0, payload, "t", b"head", start_ns)
             relay.take(RobotMessage(src, MODEM, "modem/0", payload, at_ns, request))
-        for due in list(relay.handed(at_ns)):
+        for due in list(relay.due_messages(at_ns)):
             if (frame := relay.frame_of(due)) is not None:
-                modems[due.dst].heard(frame)
+                modems[due.dst].on_heard(frame)
             relay.settle(due, at_ns, delivered=True)
     return {i: modem.told for i, modem in modems.items()}
 
@@ -203,7 +203,7 @@ def test_a_frame_says_how_strong_it_is_where_it_is_heard_and_from_where_it_comes
     relay.places.update(PLACES)
     request = ModemRequest(1, 1, 0, 0, b"hello", "t", b"head")
     relay.take(RobotMessage(1, MODEM, "modem/0", b"hello", BEGIN_NS, request))
-    frames = {due.dst: relay.frame_of(due) for due in relay.handed(BEGIN_NS + 10**9)}
+    frames = {due.dst: relay.frame_of(due) for due in relay.due_messages(BEGIN_NS + 10**9)}
     for dst, range_m in ((2, 150.0), (3, 300.0)):
         frame = frames[dst]
         assert frame is not None and frame.head == b"head" and frame.away == (-range_m, 0.0, 0.0)

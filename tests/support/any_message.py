@@ -8,11 +8,11 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from fleet.addons.hosts.protocol.page import declared, fields_of, records, texts
+from fleet.addons.hosts.protocol.page import fields_of, message_kinds, records, texts
 from netem.wire.messages import Message
 
 RECORDS = records()
-KINDS = sorted(declared())
+KINDS = sorted(message_kinds())
 UINTS = st.one_of(st.integers(0, 300), st.integers(0, 2**64 - 1))
 REALS = st.floats(allow_nan=False, allow_infinity=False)
 OR_NIL = " or nil"
@@ -45,4 +45,4 @@ def messages(cls: type) -> SearchStrategy[Any]:
     return st.tuples(*(values(field.wire) for field in fields_of(cls).values())).map(lambda given: cls(*given))
 
 
-ANY_MESSAGE: SearchStrategy[Message] = st.sampled_from(KINDS).flatmap(lambda kind: messages(declared()[kind][0]))
+ANY_MESSAGE: SearchStrategy[Message] = st.sampled_from(KINDS).flatmap(lambda kind: messages(message_kinds()[kind][0]))

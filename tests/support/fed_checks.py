@@ -35,7 +35,7 @@ def fed(
         at_once: judge only at the end, not at every tick.
     """
     scenario = small("duration=4 s", f"checks={{{checks}}}", *([faults] if faults else []))
-    own = OwnChecks.asked(scenario)
+    own = OwnChecks.from_scenario(scenario)
     events, waiting = list(scenario.faults.events), list(fates)
     verdicts: list[Verdict] = []
     for tick in range(round(until_s * 100) + 1):

@@ -9,7 +9,7 @@ from time import monotonic_ns
 from waiting import wait_for
 
 from fleet.addons.modems.modem import ModemCore, ModemLanguage
-from netem.endpoint import HeardFrame, Level, ModemRequest, Sea, SentFrame
+from netem.endpoint import HeardFrame, Level, ModemChannel, ModemRequest, SentFrame
 from netem.modem import Modem
 
 LIMIT_S = 30.0
@@ -39,9 +39,9 @@ class Water:
         self.begin_ns = monotonic_ns()
         self.core = core or ModemCore(1, language)
         self.core.listen()
-        sea = Sea(MODEM, 64, 2, 0.0, SPEED, self.begin_ns, 1, "auv1", {"auv1": 1, "auv2": 2, "buoy": 3},
+        channel = ModemChannel(MODEM, 64, 2, 0.0, SPEED, self.begin_ns, 1, "auv1", {"auv1": 1, "auv2": 2, "buoy": 3},
                   self.given.append, lambda: (10.0, 20.0, 5.0), self.moved.append)  # fmt: skip
-        self.core.begin(sea)
+        self.core.begin(channel)
 
     @property
     def port(self) -> int:
@@ -59,7 +59,7 @@ class Water:
     def sends(self, at_s: float = 1.0) -> ModemRequest:
         """Let the next payload be transmitted at a time."""
         request = self.next()
-        self.core.sent(SentFrame(request.tag, self.at(at_s), 100_000_000))
+        self.core.on_sent(SentFrame(request.tag, self.at(at_s), 100_000_000))
         return request
 
     def at(self, s: float) -> int:
@@ -71,4 +71,4 @@ class Water:
     ) -> None:  # fmt: skip
         """Let a payload arrive."""
         times = (self.at(left), self.at(came), self.at(came + 0.1))
-        self.core.heard(HeardFrame(src, to, what, payload, *times, head, level, away))
+        self.core.on_heard(HeardFrame(src, to, what, payload, *times, head, level, away))

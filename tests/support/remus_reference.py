@@ -19,7 +19,7 @@ import numpy as np
 from repository import GOLDEN, ROOT
 
 from world.api import Water
-from world.plants.remus100 import moved
+from world.plants.remus100 import advance
 
 FILE = GOLDEN / "remus100.npz"
 EVERY_S = 0.5  # between two rows
@@ -97,7 +97,7 @@ def driven(manoeuvre: Manoeuvre, h: float = 0.02) -> Run:
     for k in range(round(manoeuvre.seconds / h) + 1):
         if k % round(EVERY_S / h) == 0:
             rows.append(state)
-        state = moved(state, manoeuvre.commands(k * h), water, h)
+        state = advance(state, manoeuvre.commands(k * h), water, h)
     return np.array(rows)
 
 

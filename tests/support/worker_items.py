@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from types import ModuleType
 
-from fleet.processes.apart import apart
+from fleet.processes.apart import in_child_process
 
 
 def step(number: int) -> int:
@@ -77,7 +77,7 @@ def copied(number: int) -> tuple[list[int], list[int]]:
         known.append(more)
         return sum(known)
 
-    found = [apart(partial(add, more)) for more in (1, 2, 3)]
+    found = [in_child_process(partial(add, more)) for more in (1, 2, 3)]
     try:
         os.waitpid(-1, os.WNOHANG)
     except ChildProcessError:
@@ -87,7 +87,7 @@ def copied(number: int) -> tuple[list[int], list[int]]:
 
 def step_apart(number: int) -> int:
     """As `step`, in a copy of this process."""
-    return apart(partial(step, number))
+    return in_child_process(partial(step, number))
 
 
 def hang_apart() -> None:
@@ -97,4 +97,4 @@ def hang_apart() -> None:
         os.write(1, f"{os.getpid()}\n".encode())
         hang()
 
-    apart(on_progress)
+    in_child_process(on_progress)

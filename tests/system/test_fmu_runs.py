@@ -16,7 +16,7 @@ from small_scenario import SMALL
 from tool import invoke
 
 from fleet.addons.studies.engine import local_engine
-from fleet.addons.studies.explanation.no_return import healed
+from fleet.addons.studies.explanation.no_return import without_faults_after
 from fleet.addons.studies.modules import folder_of, modules_of, packed
 from fleet.addons.studies.one_run import Task, make_run
 from fleet.addons.studies.row import Row
@@ -114,7 +114,7 @@ def test_a_run_with_units_is_healed_without_copies(folder: Path) -> None:
     """A copy of the process would share the process of the unit."""
     scenario = load_scenario(folder / "units.yaml", ["faults=[{at: 200 ms, mute: 1}]"])
     tree = tree_of(scenario)
-    each = tuple((tick, json.dumps(healed(tree, tick * scenario.tick_ns))) for tick in (30, 60))
+    each = tuple((tick, json.dumps(without_faults_after(tree, tick * scenario.tick_ns))) for tick in (30, 60))
     asked = Task(
         "units", 0, scenario.seed, scenario.name, scenario.to_yaml(), 60.0, modules_of([scenario], folder), healed=each
     )

@@ -26,7 +26,7 @@ from waiting import wait_for
 
 from agents.join_file import JoinFile
 from fleet.addons.hosts import certificates, router_config
-from fleet.addons.hosts.rendezvous import read_credentials, run_id, through_router
+from fleet.addons.hosts.rendezvous import join_router, read_credentials, run_id
 from fleet.errors import FleetError
 from fleet.execution.connection import ask, find
 from netem.errors import BusError
@@ -135,7 +135,7 @@ def test_a_router_serves_one_run_of_an_id_at_a_time(tmp_path: Path) -> None:
         "twice", 1, endpoint, str(tmp_path / router_config.USERS), None, mutual=False, lease_ms=20_000
     )
     router_config.write(tmp_path, "twice", 1, text)
-    found = through_router(endpoint, tmp_path / router_config.CREDENTIALS, 1)
+    found = join_router(endpoint, tmp_path / router_config.CREDENTIALS, 1)
     assert found.credentials
     with router(tmp_path / router_config.CONFIG):
         world, console = (Bus.connect(endpoint, found.credentials[role]) for role in ("world", "console"))

@@ -19,7 +19,7 @@ from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.repeat.verify import verify
 from fleet.result.result import Result, Status
-from fleet.scenario.loading import changed
+from fleet.scenario.loading import with_overrides
 from fleet.scenario.scenario import Scenario
 
 KILL = "faults=[{kill: 3, at: 530 ms}]"
@@ -52,7 +52,7 @@ def test_bytes_are_the_same(case: str, module: Callable[[str], str], tmp_path: P
     scenario = talking(module, *changes, **parameters)
     alone = run(scenario, tmp_path / "alone")
     each = run(scenario, tmp_path / "each", in_process=False)
-    shared = run(changed(scenario, ["agents.per_process=2"]), tmp_path / "shared", in_process=False)
+    shared = run(with_overrides(scenario, ["agents.per_process=2"]), tmp_path / "shared", in_process=False)
     assert_same_bytes(log_of(alone), log_of(each))
     for other in (each, shared):
         assert other.digest == alone.digest

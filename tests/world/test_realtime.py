@@ -78,7 +78,7 @@ class Virtual:
         for link, (sent, copies) in self.network.netem.entered.items():
             self.journal.ledger.enter(link, sent=sent, duplicated=copies)
         assert self.journal.complete
-        assert self.journal.ledger.unbalanced() == {}
+        assert self.journal.ledger.unbalanced_links() == {}
         return self.log.digest
 
     def _answer(self, i: int, nav: Nav) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fleet.scenario.loading import load_scenario
 from netem.wire.messages import Command, Nav, Round
 from world.lockstep import Lockstep, NavTo
-from world.turns import Turns
+from world.turns import TickOrder
 
 # Suspended vehicles pass ticks without being asked, so they are ahead of the others when they go on.
 SCENARIO = load_scenario(
@@ -33,7 +33,7 @@ def nav(tick: int) -> Nav:
 @given(st.integers(1, 5), st.lists(st.integers(0, 4), min_size=1, max_size=30), st.integers(1, 50), st.integers(1, 4))
 def test_every_nav_leaves_when_its_agent_can_answer_it(most: int, order: list[int], window: int, shared: int) -> None:
     """Whoever is asked has a round behind it that is complete, so it can answer; and all ticks come to pass."""
-    lockstep, turns = Lockstep(SCENARIO.world_config), Turns(M, most, lambda i, _: i // shared)
+    lockstep, turns = Lockstep(SCENARIO.world_config), TickOrder(M, most, lambda i, _: i // shared)
     complete, asked, step, granted = {-M}, [], 0, 0
     out: list[Any] = []
     while not lockstep.finished:
@@ -42,7 +42,7 @@ def test_every_nav_leaves_when_its_agent_can_answer_it(most: int, order: list[in
                 turns.ask(item.id, item.nav)
             elif isinstance(item, Round):
                 complete.add(item.tick)
-                turns.passed(item.tick)
+                turns.on_round_passed(item.tick)
         while (turn := turns.take()) is not None:
             for i, question in turn:
                 assert (question.tick - 1) // M * M in complete
@@ -62,7 +62,7 @@ def test_every_nav_leaves_when_its_agent_can_answer_it(most: int, order: list[in
 
 
 def test_who_goes_on_between_rounds_keeps_its_turn() -> None:
-    turns = Turns(M, 1)
+    turns = TickOrder(M, 1)
     turns.ask(1, nav(0))
     turns.ask(2, nav(0))
     assert turns.take() == [(1, nav(0))]
@@ -73,7 +73,7 @@ def test_who_goes_on_between_rounds_keeps_its_turn() -> None:
     turns.release(2)
     turns.ask(2, nav(1))
     assert turns.take() is None
-    turns.passed(0)
+    turns.on_round_passed(0)
     assert turns.take() == [(1, nav(1))]
     turns.release(1)
     turns.ask(1, nav(2))
@@ -82,7 +82,7 @@ def test_who_goes_on_between_rounds_keeps_its_turn() -> None:
 
 def test_agents_of_one_process_are_asked_together() -> None:
     """Those that are asked while the others of their process compute need not wait for a turn."""
-    turns = Turns(M, 1, lambda i, _: (i - 1) // 3)
+    turns = TickOrder(M, 1, lambda i, _: (i - 1) // 3)
     for i in (1, 2, 4, 5):
         turns.ask(i, nav(0))
     assert turns.take() == [(1, nav(0)), (2, nav(0))]
@@ -97,13 +97,13 @@ def test_agents_of_one_process_are_asked_together() -> None:
 
 
 def test_who_ended_is_not_asked_any_more() -> None:
-    turns = Turns(M, 2)
+    turns = TickOrder(M, 2)
     for i in (1, 2, 3):
         turns.ask(i, nav(0))
     turns.ask(4, nav(1))
     assert [turns.take(), turns.take()] == [[(1, nav(0))], [(2, nav(0))]]
     for i in (1, 3, 4):
         turns.forget(i)
-    turns.passed(0)
+    turns.on_round_passed(0)
     assert not turns.holds(1)
     assert turns.take() is None

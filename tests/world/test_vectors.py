@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from world.config import PlantSetup
-from world.plugins.error_place import in_library
+from world.plugins.error_place import is_in_library
 from world.plugins.fence import numbers_of
 from world.tumble import HYSTERESIS_RAD, LIMIT_RAD, tumbles
-from world.vectors import ZERO, Vec3, dot, minus, moved, perpendicular, plus, scale
+from world.vectors import ZERO, Vec3, dot, minus, move_along, perpendicular, plus, scale
 
 NUMBERS = some.integers(-1000, 1000).map(float)  # whole ones, so that sums are exact
 VECTORS = some.tuples(NUMBERS, NUMBERS, NUMBERS)
@@ -22,7 +22,7 @@ VECTORS = some.tuples(NUMBERS, NUMBERS, NUMBERS)
 @given(VECTORS, VECTORS, VECTORS, NUMBERS)
 def test_sums_and_products_are_linear(a: Vec3, b: Vec3, c: Vec3, factor: float) -> None:
     assert minus(plus(a, b), b) == a
-    assert moved(a, b, factor) == plus(a, scale(b, factor))
+    assert move_along(a, b, factor) == plus(a, scale(b, factor))
     assert dot(plus(a, b), c) == dot(a, c) + dot(b, c) == dot(c, a) + dot(c, b)
     assert dot(a, a) == sum(x * x for x in a)
 
@@ -49,9 +49,9 @@ def test_a_plant_starts_without_roll() -> None:
 
 
 def test_files_of_libraries_and_frozen_modules_are_not_the_users() -> None:
-    assert in_library(f"{sysconfig.get_path('stdlib')}/json/decoder.py")
-    assert in_library("<frozen importlib._bootstrap>")
-    assert not in_library("/home/me/law.py")
+    assert is_in_library(f"{sysconfig.get_path('stdlib')}/json/decoder.py")
+    assert is_in_library("<frozen importlib._bootstrap>")
+    assert not is_in_library("/home/me/law.py")
 
 
 @pytest.mark.parametrize(

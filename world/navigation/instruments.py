@@ -34,7 +34,7 @@ PURPOSE = "navigation"
 NO_FAULTS: Sequence[WorldFault] = ()
 
 
-def lost(fault: WorldFault, seed: int, i: int, tick: int, source: int = 0) -> bool:
+def is_sample_lost(fault: WorldFault, seed: int, i: int, tick: int, source: int = 0) -> bool:
     """Whether a fault takes the sample of a tick; the probability is the first of its numbers."""
     chance = fault.values[0]
     return chance >= 1.0 or (chance > 0.0 and uniform(seed, _purpose(fault, "lost"), i, tick, source) < chance)
@@ -89,7 +89,7 @@ class Instruments:
         measured = psi + self._heading_bias + self._walk + self._draw(grade.heading_noise, "heading", tick)
         for fault in faults:
             if fault.kind == WorldFaultKind.COMPASS:
-                if lost(fault, self._seed, self._i, tick):
+                if is_sample_lost(fault, self._seed, self._i, tick):
                     return None
                 measured += fault.values[1] + jumps(fault, self._seed, self._i, tick, 1)[0]
         return measured
@@ -111,7 +111,7 @@ class Instruments:
         self.dvl = [self._draw(config.grade.dvl_noise, "dvl", tick, axis) for axis in range(3)]
         for fault in faults:
             if fault.kind == WorldFaultKind.DVL:
-                if lost(fault, self._seed, self._i, tick):
+                if is_sample_lost(fault, self._seed, self._i, tick):
                     self.mode = LOST
                 off = jumps(fault, self._seed, self._i, tick, 3)
                 for axis in range(3):
@@ -178,7 +178,7 @@ class Fixes:
             off = [sigma * normal(seed, NOISE, i, tick, number, axis) for axis in range(2)]
             for fault in faults:
                 if fault.kind == WorldFaultKind.FIX:
-                    gone = gone or lost(fault, seed, i, tick, number)
+                    gone = gone or is_sample_lost(fault, seed, i, tick, number)
                     jump = jumps(fault, seed, i, tick, 2, number)
                     off = [off[axis] + fault.values[1 + axis] + jump[axis] for axis in range(2)]
             if gone:

@@ -96,7 +96,7 @@ class Navigator:
         scale, off = measure.scale, measure.dvl
         return [scale * own[0] + off[0], scale * own[1] + off[1], scale * own[2] + off[2]]
 
-    def believed(self, state: State, roll: tuple[float, ...]) -> Believed:
+    def belief(self, state: State, roll: tuple[float, ...]) -> Believed:
         """Eta, nu and roll as the vehicle believes them. `state`: the truth. `roll`: true phi [rad] and p [rad/s], or
         nothing."""
         measure, x = self._instruments, self.filter.x

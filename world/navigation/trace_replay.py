@@ -36,7 +36,7 @@ class ReplayedError:
             a.north + north * s, a.east + east * s, a.down + down * s, a.heading + heading * s, north, east, down,
         )  # fmt: skip
 
-    def believed(self, state: State, roll: tuple[float, ...]) -> Believed:
+    def belief(self, state: State, roll: tuple[float, ...]) -> Believed:
         """Eta, nu and roll as the vehicle believes them; the arguments are the truth."""
         t = self._tick * self._tick_s
         x, y, z, theta, psi, u, v, w, q, r = state

@@ -14,7 +14,7 @@ from world.config import PlantSetup
 from world.errors import PlantError
 from world.plants.classes import plant_class
 from world.plugins.checks import MAX_NUMBERS
-from world.plugins.fence import Fence, numbers_of, shown
+from world.plugins.fence import Fence, numbers_of, show_value
 from world.plugins.trust import allow_file
 from world.signal import Signal
 from world.vectors import Vec2, Vec3, Vec6
@@ -64,14 +64,13 @@ class FencedPlant:
         state = fence.call(tick, plant.start, pose, velocity)
         numbers = _numbers(state)
         if not numbers or len(numbers) > MAX_NUMBERS:
-            text = f"returned the state {shown(state)}: expected 1 to {MAX_NUMBERS} numbers"
+            text = f"returned the state {show_value(state)}: expected 1 to {MAX_NUMBERS} numbers"
             raise fence.wrong(tick, plant.start, text)
         self.state = (0.0,) * len(numbers)  # the next states must be as long as this one
         self._take(tick, plant.start, fence.call(tick, self._observed, numbers))
         if any(abs(a - b) > _TOLERANCE for a, b in zip(self.pose, pose, strict=True)):
-            text = (
-                f"has the pose {_listed(self.pose)} at its start: expected {_listed(pose)}, what start was called with"
-            )
+            found, expected = _list_words(self.pose), _list_words(pose)
+            text = f"has the pose {found} at its start: expected {expected}, what start was called with"
             raise fence.wrong(tick, plant.start, text)
 
     def advance(self, tick: int, tau: Vec3, current: Vec3, wrenches: Iterable[Vec6], dt: float) -> None:
@@ -117,11 +116,11 @@ class FencedPlant:
         fence, plant = self._fence, self._plant
         state, size = _numbers(said[0]), len(self.state)
         if len(state) != size:
-            what = f"a state of {len(state)} numbers" if state else f"the state {shown(said[0])}"
+            what = f"a state of {len(state)} numbers" if state else f"the state {show_value(said[0])}"
             text = f"returned {what}: expected {size} numbers, as the state before has"
             raise fence.wrong(tick, method, text)
         if not all(map(isfinite, state)):
-            raise fence.wrong(tick, method, f"returned the state {shown(state)}: every number must be finite")
+            raise fence.wrong(tick, method, f"returned the state {show_value(state)}: every number must be finite")
         pose = self._six(tick, plant.pose, "pose (x, y, z, phi, theta, psi)", said[1])
         velocity = self._six(tick, plant.velocity, "velocity (u, v, w, p, q, r)", said[2])
         if self._signals:
@@ -131,7 +130,7 @@ class FencedPlant:
     def _six(self, tick: int, method: Any, what: str, value: Any) -> Vec6:
         numbers = _numbers(value)
         if len(numbers) != 6 or not all(map(isfinite, numbers)):
-            raise self._fence.wrong(tick, method, f"returned {shown(value)}: expected {what}, six finite numbers")
+            raise self._fence.wrong(tick, method, f"returned {show_value(value)}: expected {what}, six finite numbers")
         a, b, c, d, e, f = numbers
         return a, b, c, d, e, f
 
@@ -142,7 +141,7 @@ class FencedPlant:
             raise fence.wrong(0, type(plant), "has no limits: largest surge force [N], pitch and yaw moment [N m]")
         found = _numbers(limits)
         if len(found) != 3 or not all(isfinite(limit) and limit >= 0.0 for limit in found):
-            text = f"has the limits {shown(limits)}: expected three finite numbers, none below 0"
+            text = f"has the limits {show_value(limits)}: expected three finite numbers, none below 0"
             raise fence.wrong(0, type(plant), text)
         return found[0], found[1], found[2]
 
@@ -157,5 +156,5 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return tuple(numbers_of(value))
 
 
-def _listed(numbers: Iterable[float]) -> str:
+def _list_words(numbers: Iterable[float]) -> str:
     return f"({', '.join(f'{number:.4g}' for number in numbers)})"

@@ -161,7 +161,7 @@ class Remus100(SixDegrees):
         phi, theta, psi, u, v, w, p, q, r = state[3:12]
         through = flow(rotation(phi, theta, psi), (u, v, w), (p, q, r), water.current)
         commands = allocate(tau, through.velocity, self._hull)
-        return (*moved(state[:15], commands, water, dt, self._hull), *commands)
+        return (*advance(state[:15], commands, water, dt, self._hull), *commands)
 
     def report(self, state: PlantState) -> Mapping[str, float]:
         """The actuators and their commands [rpm, rad], by the names in `signals`."""
@@ -233,7 +233,7 @@ def _cross_flow(v: float, r: float) -> tuple[float, float]:
     return -2.0 * rr * x0 * (a * a + x0 * x0 / 3.0), rr * (0.5 * a**4 + a * a * x0 * x0 - x0**4 / 6.0)
 
 
-def moved(state: PlantState, commands: Vec3, water: Water, dt: float, hull: Hull = "fossen") -> PlantState:
+def advance(state: PlantState, commands: Vec3, water: Water, dt: float, hull: Hull = "fossen") -> PlantState:
     """Pose, velocity, n, delta_r and delta_s `dt` [s] later.
 
     Args:

@@ -24,14 +24,14 @@ def place_of(error: BaseException) -> str:
     inside numpy was called from somewhere.
     """
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not _ours(f.filename)]
-    own = [f for f in frames if not in_library(f.filename)]
+    own = [f for f in frames if not is_in_library(f.filename)]
     if not own:  # an installed plug-in: its file is the first that was called
         installed = [f for f in frames if _SITE in f.filename] or frames
         own = [f for f in frames if f.filename == installed[0].filename]
     return place_of_line(own[-1].filename, own[-1].lineno) if own else ""
 
 
-def in_library(filename: str) -> bool:
+def is_in_library(filename: str) -> bool:
     """Whether a file belongs to the standard library or to an installed package."""
     return filename.startswith(_LIBRARIES) or filename.startswith("<frozen")
 

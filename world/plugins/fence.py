@@ -22,7 +22,7 @@ from typing import Any
 
 from world.errors import FmuError
 from world.plugins.checks import MAX_NUMBERS
-from world.plugins.error_place import in_library, place_of, place_of_line, place_of_method, words_of
+from world.plugins.error_place import is_in_library, place_of, place_of_line, place_of_method, words_of
 from world.signal import Signal
 from world.vectors import Vec3
 
@@ -99,7 +99,7 @@ class Fence:
             return value
         numbers = numbers_of(value)
         if len(numbers) != 3:
-            raise self.wrong(tick, method, f"returned {what} {shown(value)}: expected three numbers")
+            raise self.wrong(tick, method, f"returned {what} {show_value(value)}: expected three numbers")
         x, y, z = numbers
         if not all(map(isfinite, numbers)):
             raise self.wrong(tick, method, f"returned {what} {(x, y, z)}: every number must be finite")
@@ -108,7 +108,7 @@ class Fence:
     def telemetry(self, tick: int, method: Any, signals: Sequence[Signal], values: Any) -> tuple[float, ...]:
         """The values of `signals` as one flat tuple."""
         if not isinstance(values, Mapping):
-            raise self.wrong(tick, method, f"returned telemetry {shown(values)}: expected a dict by signal name")
+            raise self.wrong(tick, method, f"returned telemetry {show_value(values)}: expected a dict by signal name")
         if values.keys() != {signal.name for signal in signals}:
             missing = sorted({signal.name for signal in signals} - values.keys())
             unknown = sorted(map(str, values.keys() - {signal.name for signal in signals}))
@@ -128,9 +128,9 @@ class Fence:
             numbers = (hasattr(value, "__iter__") and numbers_of(value)) or numbers_of((value,))
             if len(numbers) != signal_.width:
                 expected = "a number" if signal_.width == 1 else f"{signal_.width} numbers"
-                raise self.wrong(tick, method, f"returned {signal_.name} = {shown(value)}: expected {expected}")
+                raise self.wrong(tick, method, f"returned {signal_.name} = {show_value(value)}: expected {expected}")
             if not all(map(isfinite, numbers)):
-                problem = f"returned {signal_.name} = {shown(value)}: every number must be finite"
+                problem = f"returned {signal_.name} = {show_value(value)}: every number must be finite"
                 raise self.wrong(tick, method, problem)
             flat += numbers
         return tuple(flat)
@@ -142,7 +142,7 @@ class Fence:
         self._printed.noted = True
         caller = sys._getframe(2)  # behind this and `_Printed.write`
         frame: FrameType | None = caller
-        while frame is not None and in_library(frame.f_code.co_filename):  # pprint, say: the plug-in called it
+        while frame is not None and is_in_library(frame.f_code.co_filename):  # pprint, say: the plug-in called it
             frame = frame.f_back
         if frame is None or frame.f_code.co_filename == __file__:  # the plug-in is itself an installed one
             frame = caller
@@ -209,7 +209,7 @@ def numbers_of(value: Any) -> list[float]:
         return []
 
 
-def shown(value: Any) -> str:
+def show_value(value: Any) -> str:
     """A value as messages show it: on one line, and the same in every run."""
     try:
         return re.sub(r" at 0x[0-9a-f]+", "", " ".join(repr(value).split()))[:80]

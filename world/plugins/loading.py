@@ -49,7 +49,7 @@ def file_class(kind: str, name: str, parameters: Mapping[str, Any]) -> Any:
         PluginError: nothing here reads such a file, or it cannot be used.
     """
     word, group = name.partition(":")[0], _FILES[kind][1]
-    maker = installed(group).get(word)
+    maker = entry_points_of(group).get(word)
     if maker is None:
         raise PluginError(kind, name, "nothing here reads such a file", f"{word} is an entry point of group {group}")
     try:
@@ -102,7 +102,7 @@ def admit(kind: str, name: str, permission: Permission = ONLY_INSTALLED) -> None
         permit_file(kind, name, unit_file(kind, name), permission)
     elif ":" in name:
         permit(kind, name, _module_name(kind, name), permission)
-    elif (point := installed(GROUPS[kind]).get(name)) is not None:
+    elif (point := entry_points_of(GROUPS[kind]).get(name)) is not None:
         permit(kind, name, point.value.partition(":")[0].strip(), permission)
 
 
@@ -128,7 +128,7 @@ def _import(kind: str, name: str) -> Any:
     module_name, _, class_name = name.partition(":")
     importlib.invalidate_caches()
     try:
-        module = _loaded(lambda: importlib.import_module(module_name))
+        module = _load(lambda: importlib.import_module(module_name))
     except ModuleNotFoundError as error:
         if error.name is not None and (module_name == error.name or module_name.startswith(error.name + ".")):
             hint = "it must be installed, or lie beside the scenario or where you are"
@@ -157,7 +157,7 @@ class _LoadError(Exception):
         self.where = where
 
 
-def _loaded(load_it: Callable[[], Any]) -> Any:
+def _load(load_it: Callable[[], Any]) -> Any:
     """The result of an import. Standard output is data, so prints of the module go to standard error."""
     try:
         with redirect_stdout(sys.stderr):
@@ -172,7 +172,7 @@ def _loaded(load_it: Callable[[], Any]) -> Any:
 
 
 @cache
-def installed(group: str) -> dict[str, EntryPoint]:
+def entry_points_of(group: str) -> dict[str, EntryPoint]:
     """The entry points of a group by name, read once: reading them opens a file of every installed package."""
     from importlib.metadata import entry_points  # half of email comes with it
 
@@ -182,7 +182,7 @@ def installed(group: str) -> dict[str, EntryPoint]:
 def _entry_point(kind: str, name: str) -> tuple[str, Any]:
     """`module:Class` as the entry point has it, and what it loads."""
     group = GROUPS[kind]
-    points = installed(group)
+    points = entry_points_of(group)
     if name not in points:
         there = f"installed: {', '.join(sorted(points))}" if points else f"nothing is installed in group {group}"
         raise PluginError(
@@ -190,7 +190,7 @@ def _entry_point(kind: str, name: str) -> tuple[str, Any]:
         )
     value = points[name].value
     try:
-        return value, _loaded(points[name].load)
+        return value, _load(points[name].load)
     except ModuleNotFoundError as error:
         raise PluginError(kind, name, f"its entry point {value} does not load: {error}", place_of(error)) from error
     except _LoadError as error:

@@ -187,8 +187,8 @@ def own_folders() -> list[str]:
 
 def _need_trust(kind: str, name: str, files: tuple[str, ...], folder: str, because: str) -> None:
     """Raise UntrustedError unless the user trusts these files, which lie in a folder; say so if they do."""
-    trust, shown = _held.get(), " and ".join(map(_shown, files)) or _shown(folder)
-    if not (trust.everything or _known(files, trust.fingerprints)):
+    trust, shown = _held.get(), " and ".join(map(_show, files)) or _show(folder)
+    if not (trust.everything or _is_known(files, trust.fingerprints)):
         problem = f"would run {shown}, which is not installed, and {because}"
         raise UntrustedError(kind, name, problem, "read it first; --trust runs it")
     trust.notify(f"{kind} {name} runs {shown}, as --trust allows")
@@ -201,7 +201,7 @@ def find(module: str, folders: Iterable[Path]) -> ModulePlace | None:
     """
     first, *rest = module.split(".")
     spec = _first(first)
-    places = [_installed(first)] if spec is not None else []
+    places = [_installed_spec(first)] if spec is not None else []
     if spec is None or _folder(spec) in _added:
         spec = next(filter(None, (PathFinder.find_spec(first, [os.path.abspath(folder)]) for folder in folders)), spec)
     if spec is None:
@@ -225,7 +225,7 @@ def _first(name: str) -> ModuleSpec | None:
         return None
 
 
-def _installed(name: str) -> ModuleSpec | None:
+def _installed_spec(name: str) -> ModuleSpec | None:
     """The module that `import name` would find without the current directory and without the folders added here."""
     for finder in list(sys.meta_path):
         spec = finder.find_spec(name, list(_environment()) if finder is PathFinder else None)
@@ -291,7 +291,7 @@ def _open_to_all(folder: str) -> bool:
         return True
 
 
-def _known(files: tuple[str, ...], fingerprints: frozenset[str]) -> bool:
+def _is_known(files: tuple[str, ...], fingerprints: frozenset[str]) -> bool:
     import hashlib  # loads OpenSSL, which --help needs not
 
     try:
@@ -302,6 +302,6 @@ def _known(files: tuple[str, ...], fingerprints: frozenset[str]) -> bool:
         return False
 
 
-def _shown(file: str) -> str:
+def _show(file: str) -> str:
     relative = os.path.relpath(file)
     return file if relative.startswith("..") else relative

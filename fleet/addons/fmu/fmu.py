@@ -20,7 +20,8 @@ import msgpack
 
 from fleet.addons.fmu import fmu_host
 from fleet.addons.fmu.fmu_archive import unpack
-from fleet.addons.fmu.fmu_variables import COMMAND, CURRENT, MOTION, WRENCH, Description, Variables, describe, variables
+from fleet.addons.fmu.fmu_description import Description
+from fleet.addons.fmu.fmu_variables import COMMAND, CURRENT, MOTION, WRENCH, Variables, describe, variables
 from netem.private_folder import PrivateFolder
 from world.api import PlantConfig, PlantState, Signal, Vec3, Vec6, Water
 from world.errors import FmuError
@@ -85,7 +86,7 @@ class FmuPlant:
         folder = private.path
         try:
             unpack(self.plugin_file, folder)
-            self._process, self._connection = _started(private)
+            self._process, self._connection = _start(private)
         except BaseException:
             private.close()
             raise
@@ -180,7 +181,7 @@ class FmuPlant:
         return answer
 
 
-def _started(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connection]:
+def _start(private: PrivateFolder) -> tuple[subprocess.Popen[bytes], Connection]:
     ours, theirs = Pipe()
     with theirs:
         number = theirs.fileno()

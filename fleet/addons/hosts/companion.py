@@ -100,7 +100,7 @@ def rendezvous(scenario: Scenario, options: HostsOptions, *, in_process: bool) -
     if not options.credentials:
         raise FleetError("--router needs --credentials FILE, which fleet hosts acl SCENARIO -o DIR writes")
     known, mutual = options.credentials, options.mutual_tls
-    return meeting.through_router(
+    return meeting.join_router(
         router, known, scenario.vehicles, certs, external=external, mutual=mutual, lease_ms=lease_ms
     )
 

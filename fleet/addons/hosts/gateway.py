@@ -27,7 +27,7 @@ from agents.sample import Decision
 from agents.udp_port import MOST_DATA, UdpPort
 from fleet.addons.programs.known_ports import WATER_PORT
 from fleet.errors import FleetError
-from fleet.processes.child_start import die_with_parent, for_programs
+from fleet.processes.child_start import die_with_parent, program_environment
 from netem.clock import Clock
 from netem.modem_frame import MARK
 from netem.wire.messages import Delivery, Nav
@@ -194,7 +194,7 @@ class Gateway:
         try:
             self._program = subprocess.Popen(
                 self._run, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=dies,
-                env=for_programs(os.environ),
+                env=program_environment(os.environ),
             )  # fmt: skip
         except OSError as error:
             self.close()

@@ -125,7 +125,7 @@ def listening(
     roles = [agent_role(i) for i in external] if mutual else []
     return Rendezvous(
         listener=_with_tls(endpoint, lease_ms, server, roles),
-        reached=",".join(_reached(endpoint, hosts, server, certs)),
+        reached=",".join(_public_endpoints(endpoint, hosts, server, certs)),
         ca=server.ca,
         certificates={role: read_client(certs, role) for role in roles},
         lease_ms=lease_ms,
@@ -156,7 +156,7 @@ def listening_for_certificates(
     if rendezvous.listener and any(parse_endpoint(e, "").port == endpoint.port for e in rendezvous.listener.endpoints):
         raise FleetError(f"--listen and {CERTIFIED} are two routers: give them a port each, not both {endpoint.port}")
     server = read_server(certs)
-    reached = _reached(endpoint, [_host("--advertise", host) for host in advertise], server, certs)
+    reached = _public_endpoints(endpoint, [_host("--advertise", host) for host in advertise], server, certs)
     return replace(
         rendezvous,
         certified=_with_tls(endpoint, lease_ms, server, map(agent_role, external)),
@@ -184,7 +184,7 @@ def check_free(listen: str, option: str = "--listen") -> None:
         ) from None
 
 
-def through_router(
+def join_router(
     router: str,
     credentials: Path,
     vehicles: int,
@@ -282,7 +282,9 @@ def _host(option: str, host: str) -> str:
         raise FleetError(f"{option}: {error}") from None
 
 
-def _reached(endpoint: RouterEndpoint, hosts: list[str], server: ServerCertificate, certs: Path) -> tuple[str, ...]:
+def _public_endpoints(
+    endpoint: RouterEndpoint, hosts: list[str], server: ServerCertificate, certs: Path
+) -> tuple[str, ...]:
     """The endpoints under which agents reach a tls listener, at `hosts` or else at those of its certificate.
 
     Raises FleetError: a name that the certificate does not hold: every agent would refuse it later.

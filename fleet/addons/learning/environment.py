@@ -18,7 +18,7 @@ from fleet.addons.learning.policy_agent import Action, Choices, HeldLife, Policy
 from fleet.errors import FleetError
 from fleet.execution.stepped_run import Run, State
 from fleet.result.result import Result, Status
-from fleet.scenario.loading import changed
+from fleet.scenario.loading import with_overrides
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.signals import BeliefKind
 
@@ -30,7 +30,7 @@ def name_of(i: int) -> str:
     return f"uuv_{i}"
 
 
-def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
+def observation_space(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
     config = scenario.agent_config(i)
     each: dict[str, spaces.Space[Any]] = {"message": _box(choices.numbers or STATE), "age": _box(1, -1.0)}
     if scenario.acoustic is not None:
@@ -48,7 +48,7 @@ def observed(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
     return spaces.Dict(found)
 
 
-def decided(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
+def action_space(scenario: Scenario, i: int, choices: Choices) -> spaces.Dict:
     config = scenario.agent_config(i)
     if choices.move == "velocity":
         low, high = config.guidance.rho_lo, config.guidance.rho_hi
@@ -63,7 +63,7 @@ def observation(space: spaces.Dict, seat: Seat) -> Values:
     """The observation of an agent at the tick of its present or last decision."""
     nav, config = seat.nav, seat.config
     if nav is None:  # its agent has not begun
-        return _filled(space)
+        return _fill_space(space)
     t = nav.tick * config.tick_ns / 1e9 if nav.clock_ns is None else nav.clock_ns / 1e9
     values: Values = {"time": _array(t), "eta": _array(*nav.eta), "nu": _array(*nav.nu)}
     if "roll" in space.spaces:
@@ -85,7 +85,7 @@ def observation(space: spaces.Dict, seat: Seat) -> Values:
 def _neighbour(space: spaces.Dict, seat: Seat, j: int) -> Values:
     heard = seat.heard.get(j)
     if heard is None:
-        return {**_filled(space), "age": _array(-1.0)}
+        return {**_fill_space(space), "age": _array(-1.0)}
     values = {"message": _array(*heard.numbers), "age": _array(heard.age_s)}
     if "range" in space.spaces:
         values["range"] = _array(-1.0 if heard.range_m is None else heard.range_m)
@@ -124,9 +124,9 @@ def _array(*values: float) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array(values, np.float64)
 
 
-def _filled(space: spaces.Dict) -> Values:
+def _fill_space(space: spaces.Dict) -> Values:
     return {
-        key: _filled(one) if isinstance(one, spaces.Dict) else np.full(one.shape, 0.0 if key == "message" else -1.0)
+        key: _fill_space(one) if isinstance(one, spaces.Dict) else np.full(one.shape, 0.0 if key == "message" else -1.0)
         for key, one in space.items()
     }
 
@@ -149,8 +149,8 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
         self.agents: list[str] = []
         self._vehicles = dict(zip(self.possible_agents, vehicles, strict=True))
         self._choices, self._every, self._reward = choices, every, reward
-        self._observed = {who: observed(scenario, i, choices) for who, i in self._vehicles.items()}
-        self._decided = {who: decided(scenario, i, choices) for who, i in self._vehicles.items()}
+        self._observed = {who: observation_space(scenario, i, choices) for who, i in self._vehicles.items()}
+        self._decided = {who: action_space(scenario, i, choices) for who, i in self._vehicles.items()}
         self._seeds: np.random.Generator | None = None  # of episodes that are asked for without a seed
         self._seats: dict[str, Seat] = {}
         self._margin = 0.0
@@ -181,7 +181,9 @@ class FleetEnv(ParallelEnv[str, Values, Values]):  # type: ignore[misc]
             self._seeds = np.random.default_rng(episode)
         else:
             episode = int(self._seeds.integers(2**31))
-        scenario = self.scenario if episode == self.scenario.seed else changed(self.scenario, [f"seed={episode}"])
+        scenario = (
+            self.scenario if episode == self.scenario.seed else with_overrides(self.scenario, [f"seed={episode}"])
+        )
         if scenario.graph.links != self.scenario.graph.links:
             raise FleetError(
                 f"seed {episode} draws another graph than seed {self.scenario.seed}, so agents would hear other "

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 from fleet.addons.learning.policy_agent import Choices
 from fleet.errors import FleetError
 from fleet.execution.external_agents import refuse
-from fleet.execution.stepped_run import Changes, loaded
-from fleet.logs.table import need
+from fleet.execution.stepped_run import Changes, load_for
+from fleet.logs.table import require
 from fleet.quantities import QuantityError, show_time, time_ns
 from fleet.scenario.scenario import Scenario
 
@@ -60,8 +60,8 @@ def parallel_env(
         FleetError: PettingZoo is not installed, or what is asked for does not fit the scenario.
         ScenarioError: with every mistake that was found.
     """
-    need("parallel_env", ("pettingzoo", "gymnasium"), "rl")
-    found = loaded(parallel_env, scenario, set, (), (), seed, trust)
+    require("parallel_env", ("pettingzoo", "gymnasium"), "rl")
+    found = load_for(parallel_env, scenario, set, (), (), seed, trust)
     refuse(found, "an environment")
     numbers = _numbers(found, message)
     if move not in ("velocity", "force"):

@@ -95,7 +95,7 @@ class PolicyAgent:
         else:
             seat.heard = {
                 one.id: HeardMessage((*one.position, *one.velocity), one.age, one.range_m)
-                for one in self._states.heard(now)
+                for one in self._states.states_at(now)
             }
 
     def foresee(self, nav: Nav, due: list[Delivery]) -> Action:

@@ -8,7 +8,7 @@ from typing import Any
 from msgspec import MsgspecError
 
 from fleet.addons.modems.modem import ModemCore
-from netem.endpoint import ModemRequest, Sea
+from netem.endpoint import ModemChannel, ModemRequest
 from netem.lockstep_modems import read_news
 from netem.modem_frame import NEWS, SWITCH_ON, ModemFrame, read_frame
 from netem.modem_news import FrameArrived, News, SwitchedOn, tell
@@ -62,21 +62,21 @@ class AgentModem:
                 self._learn(event)
         elif (arrives := self._arrives.pop((src, seq, copy), None)) and (frame := read_frame(payload)):
             heard = arrives.frame(frame.src, frame.to, frame.what, frame.payload, frame.head, self._begin_ns)
-            self._modem.heard(heard)
+            self._modem.on_heard(heard)
 
     def _learn(self, event: News) -> None:
         match event:
             case SwitchedOn():
                 if not self._begun:
                     self._begun = True
-                    self._modem.begin(self._sea(event))
+                    self._modem.begin(self._channel(event))
             case FrameArrived():
                 self._arrives[event.src, event.seq, event.copy] = event
             case _:
                 tell(self._modem, event, self._begin_ns)
 
-    def _sea(self, station: SwitchedOn) -> Sea:
-        return Sea(
+    def _channel(self, station: SwitchedOn) -> ModemChannel:
+        return ModemChannel(
             station.modem, station.mtu, station.queue, station.access_s, station.sound_speed, self._begin_ns,
             station.seed, self._name, {**self._addresses, self._name: self._modem.address}, self._transmit,
             lambda: self._place, self._cannot_move,

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from netem.endpoint import HeardFrame, Sea, SentFrame
+from netem.endpoint import HeardFrame, ModemChannel, SentFrame
 
 _HEAD = 3  # bytes
 CLEARED = "cleared"
@@ -29,8 +29,8 @@ class Job:
     payload: bytes
     to: int  # an address; EVERYBODY: all
     what: int  # protocol number
-    sent: Callable[[SentFrame], None] = lambda _: None
-    dropped: Callable[[str], None] = lambda _: None  # gets the reason: a cause, or CLEARED
+    on_sent: Callable[[SentFrame], None] = lambda _: None
+    on_dropped: Callable[[str], None] = lambda _: None  # gets the reason: a cause, or CLEARED
     head: bytes = b""  # see `netem.endpoint.ModemRequest`
     at_ns: int | None = None  # when it has to begin, of CLOCK_MONOTONIC; None: when it is its turn
 
@@ -52,14 +52,14 @@ class Deliveries:
         self,
         link: int,
         piggyback: int,
-        sea: Sea,
+        channel: ModemChannel,
         put: Callable[[Job], None],
-        after: Callable[[float, Callable[[], None]], None],
+        call_after: Callable[[float, Callable[[], None]], None],
     ) -> None:
         """Begin. `link`, `piggyback`: protocol numbers of the frames, and of what comes with an acknowledgement. `put`
-        lets one wait for its transmission; `after` calls something after a time [s]."""
+        lets one wait for its transmission; `call_after` calls something after a time [s]."""
         self._piggyback = piggyback
-        self._link, self._sea, self._put, self._after = link, sea, put, after
+        self._link, self._channel, self._put, self._call_after = link, channel, put, call_after
         self._waiting: dict[int, _Waiting] = {}  # by number
         self._taken: dict[int, deque[int]] = {}  # by sender: its last numbers
         self._last = -1
@@ -76,14 +76,14 @@ class Deliveries:
             return UNANSWERED
 
         def sent(frame: SentFrame) -> None:
-            job.sent(frame)
-            air_s, tried = (frame.airtime_ns + self._sea.modem.airtime_ns(0)) / 1e9, one.tried
-            wait_s = self._sea.there_and_back_s + air_s + self._sea.access_s + _WAIT_S
-            self._after(wait_s, lambda: self._late(number, one, tried))
+            job.on_sent(frame)
+            air_s, tried = (frame.airtime_ns + self._channel.modem.airtime_ns(0)) / 1e9, one.tried
+            wait_s = self._channel.there_and_back_s + air_s + self._channel.access_s + _WAIT_S
+            self._call_after(wait_s, lambda: self._late(number, one, tried))
 
         head = bytes((_CARRIED, number, job.what)) + job.head
-        frame = replace(job, head=head, what=self._link, sent=sent)
-        frame.dropped = lambda _: self._late(number, one, one.tried)
+        frame = replace(job, head=head, what=self._link, on_sent=sent)
+        frame.on_dropped = lambda _: self._late(number, one, one.tried)
         one = _Waiting(frame, then, tries, 1)
         if why := submit(frame):
             return why
@@ -104,7 +104,7 @@ class Deliveries:
         for one in waiting.values():
             one.then(None)
 
-    def heard(self, frame: HeardFrame) -> HeardFrame | None:
+    def take_frame(self, frame: HeardFrame) -> HeardFrame | None:
         """Take a frame of the link. Returns what it carries; None: nothing that is new."""
         if len(frame.head) < _HEAD:
             return None

@@ -16,10 +16,10 @@ from typing import Literal
 
 from fleet.addons.modems.delivery import CLEARED, UNANSWERED, Job
 from fleet.addons.modems.evologics_settings import OK, VERSIONS, Settings
-from fleet.addons.modems.fragments import MOST_PIECES, Fragments
+from fleet.addons.modems.fragments import MOST_PIECES, PayloadPieces
 from fleet.addons.modems.line_port import MOST_LINE, Client
 from fleet.addons.modems.modem import FIRST_OWN, FULL, PIGGYBACK, ModemCore
-from fleet.addons.modems.usbl import Fix, measure_fix
+from fleet.addons.modems.usbl import UsblFix, measure_fix
 from netem.cause import Cause
 from netem.endpoint import EVERYBODY, HeardFrame, Level, SentFrame, Sound
 
@@ -78,20 +78,20 @@ class EvoLogics:
         self._last_failed = False  # whether the last one of them has failed
         self._delivered = self._fixes = 0
         self._stream = b""  # of the data mode, not given to the modem yet
-        self._fragments, self._clears = Fragments(), 0
+        self._fragments, self._clears = PayloadPieces(), 0
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
         self._modem = modem
 
-    def opened(self, client: Client) -> None:
+    def on_opened(self, client: Client) -> None:
         """See `Translator`."""
         client.state = _Talk(self._mode == "data")
 
-    def closed(self, client: Client) -> None:
+    def on_closed(self, client: Client) -> None:
         """See `Translator`."""
 
-    def line(self, client: Client, line: bytes) -> None:
+    def on_line(self, client: Client, line: bytes) -> None:
         """See `Translator`."""
         talk: _Talk = client.state
         whole = talk.before + b"\n" + line if talk.before else line
@@ -112,28 +112,28 @@ class EvoLogics:
         else:
             self._plain(client, command.strip(), escaped=whole.startswith(_ESCAPE))
 
-    def partial(self, client: Client) -> None:
+    def on_partial(self, client: Client) -> None:
         """See `Translator`. Bytes of the data mode need no line feed: they leave after a pause."""
-        said, talk = client.said, client.state
+        said, talk = client.unfinished, client.state
         if not talk.data or talk.before:
             return
 
         def quiet() -> None:
-            if client.said is not said or client not in self._modem.line_port.clients or not talk.data:
+            if client.unfinished is not said or client not in self._modem.line_port.clients or not talk.data:
                 return
             if said == _ESCAPE:
-                client.said = b""
+                client.unfinished = b""
                 self._plain(client, b"", escaped=True)
             elif not _ESCAPE.startswith(said[:3]):
                 data, found, rest = said.partition(_COMMAND)
-                client.said = found + rest
+                client.unfinished = found + rest
                 self._take_data(client, data)
 
-        self._modem.after(ESCAPE_S if said == _ESCAPE else PAUSE_S, quiet)
+        self._modem.call_after(ESCAPE_S if said == _ESCAPE else PAUSE_S, quiet)
 
     def _answer(self, client: Client, command: bytes, said: bytes) -> None:
         """Answer a command, as the mode wants it."""
-        self._modem.line_port.say(client, _framed(command, said) if client.state.data else said + b"\r\n")
+        self._modem.line_port.say(client, _frame(command, said) if client.state.data else said + b"\r\n")
 
     def _tell(self, said: bytes | Callable[[_Talk], bytes], switch: bytes = b"") -> None:
         """Tell all clients something that nobody asked for. `switch`: the one that it needs."""
@@ -201,8 +201,6 @@ class EvoLogics:
             said = self._submit(to, data, number, instant=kind == b"IM", answered=more != b"noack")
         self._answer(client, name, said)
 
-    # Data of the data mode.
-
     def _take_data(self, client: Client, data: bytes) -> None:
         if not data:
             return
@@ -220,14 +218,12 @@ class EvoLogics:
 
     def _go_on(self) -> None:
         """Give the modem what it takes of the data."""
-        to, most = self._settings.numbers[b"AR"], max(1, self._modem.sea.mtu)
+        to, most = self._settings.numbers[b"AR"], max(1, self._modem.channel.mtu)
         while to and self._stream and self._modem.room > 0:
             piece = self._stream[:most]
             if self._submit(to, piece, self._settings.numbers[b"ZS"], instant=False, answered=True) != OK:
                 return
             self._stream = self._stream[len(piece) :]
-
-    # Messages that leave.
 
     def _submit(self, to: int, data: bytes, pid: int, *, instant: bool, answered: bool) -> bytes:
         """Send a message. Returns the answer to its command."""
@@ -248,10 +244,10 @@ class EvoLogics:
 
         answered &= address != EVERYBODY
         told, what = self._told(to, b"im" if instant else b"burst"), INSTANT if instant else BURST
-        if not instant and len(data) > MOST_PIECES * self._modem.sea.mtu:
+        if not instant and len(data) > MOST_PIECES * self._modem.channel.mtu:
             return RANGE
         # Burst data may be longer than a frame; they are sent piece by piece.
-        pieces = [(b"", data)] if instant else self._fragments.split(data, max(1, self._modem.sea.mtu))
+        pieces = [(b"", data)] if instant else self._fragments.split(data, max(1, self._modem.channel.mtu))
         turn = self._clears
 
         def send(number: int) -> str:
@@ -297,27 +293,25 @@ class EvoLogics:
             self._tell(b"SENDSTART,%d,%b,%d,0" % (to, kind, frame.airtime_ns // 1000), b"ZX")
             end_us = self._modem.us(frame.at_ns + frame.airtime_ns)
             said = b"SENDEND,%d,%b,%d,%d" % (to, kind, end_us, frame.airtime_ns // 1000)
-            self._modem.after(frame.airtime_ns / 1e9, lambda: self._tell(said, b"ZX"))
+            self._modem.call_after(frame.airtime_ns / 1e9, lambda: self._tell(said, b"ZX"))
             self._go_on()
 
         return sent
 
-    # What the water says.
-
-    def pinged(self, frame: HeardFrame) -> None:
+    def on_pinged(self, frame: HeardFrame) -> None:
         """See `ModemLanguage`. Its language has no word for it."""
 
     def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`."""
         self._tell(b"RECVSTART", b"ZX")
 
-    def heard(self, frame: HeardFrame, *, linked: bool) -> None:
+    def on_heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """See `ModemLanguage`."""
         modem, to = self._modem, frame.to or BROADCAST
         if (data := self._fragments.join(frame._replace(head=frame.head[1:]))) is None:
             return  # pieces are missing
         frame = frame._replace(payload=data)
-        duration_us = modem.sea.modem.airtime_ns(len(data)) // 1000
+        duration_us = modem.channel.modem.airtime_ns(len(data)) // 1000
         level = b"%d,%d" % self._strength(frame.level)
         self._tell(b"RECVEND,%d,%d,%b" % (modem.us(frame.end_ns), duration_us, level), b"ZX")
         if frame.what == BURST:
@@ -346,17 +340,15 @@ class EvoLogics:
         pid = b"p%d," % (frame.head[0] if frame.head else 0) if named else b""
         return b"%b,%b%d,%b%b" % (kind, pid, len(frame.payload), head, frame.payload)
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """See `ModemLanguage`."""
         rssi, integrity = self._strength(level)
         self._tell(b"RECVFAILED,0.0000,%d,%d" % (rssi, min(_LIMIT - 1, integrity)), b"ZX")
 
     def _strength(self, level: Level) -> tuple[int, int]:
         """The signal strength [dB] and the integrity of what was received."""
-        over_db = level.snr - self._modem.sea.modem.clear_above
+        over_db = level.snr - self._modem.channel.modem.clear_above
         return round(level.received - RSSI_0), max(0, round(_LIMIT + _PER_DB * over_db))
-
-    # Where it comes from.
 
     def _tell_place(self, frame: HeardFrame) -> None:
         """USBLLONG, after an acknowledgement: then the travel time is known, and so the range."""
@@ -385,15 +377,15 @@ class EvoLogics:
         """Now, and when the measurement was made, by the modem's clock [s]."""
         return self._modem.now_us / 1e6, self._modem.us(frame.begin_ns) / 1e6
 
-    def _fix(self, frame: HeardFrame) -> Fix:
+    def _fix(self, frame: HeardFrame) -> UsblFix:
         assert frame.away is not None and self._usbl is not None
         self._fixes += 1
         modem = self._modem
         travelled_m = self._settings.speed(modem) * (frame.begin_ns - frame.sent_ns) / 1e9
         key = (modem.number, frame.src, self._fixes)
-        return measure_fix(frame.away, travelled_m, self._usbl, modem.sea.seed, key)
+        return measure_fix(frame.away, travelled_m, self._usbl, modem.channel.seed, key)
 
 
-def _framed(command: bytes, said: bytes) -> bytes:
+def _frame(command: bytes, said: bytes) -> bytes:
     """An answer in the data mode: its command, its length, and itself."""
     return b"+++AT%b:%d:%b\r\n" % (command, len(said), said)

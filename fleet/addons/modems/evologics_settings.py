@@ -127,7 +127,7 @@ class Settings:
     def _ask(self, modem: ModemCore, what: bytes) -> bytes | None:
         known = {
             b"AL": modem.address,
-            b"AM": self.numbers[b"AM"] or max(modem.sea.addresses.values()),
+            b"AM": self.numbers[b"AM"] or max(modem.channel.addresses.values()),
             b"CA": self.speed(modem),
             b"CLOCK": modem.now_us // 1_000_000,
             b"PID": self.numbers[b"ZS"],
@@ -138,4 +138,4 @@ class Settings:
 
     def speed(self, modem: ModemCore) -> int:
         """The speed of sound [m/s] that the modem reckons with."""
-        return self.numbers[b"CA"] or round(modem.sea.sound_speed)
+        return self.numbers[b"CA"] or round(modem.channel.sound_speed)

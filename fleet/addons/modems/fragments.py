@@ -13,7 +13,7 @@ _NUMBERS = 256
 _MOST_COMING = 16  # payloads that are not complete; the oldest are forgotten
 
 
-class Fragments:
+class PayloadPieces:
     """The pieces that one modem sends, and those that it has of others."""
 
     def __init__(self) -> None:

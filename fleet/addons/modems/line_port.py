@@ -38,7 +38,7 @@ class Client:
 
     def __init__(self, descriptor: int, close: Callable[[], None], *, terminal: bool = False) -> None:
         self.descriptor, self.close, self.terminal = descriptor, close, terminal
-        self.said = b""  # the beginning of a line
+        self.unfinished = b""  # the beginning of a line
         self.waiting = bytearray()  # what it has not taken yet
         self.state: Any = None  # the translator's own
 
@@ -48,16 +48,16 @@ class Translator(Protocol):
 
     delimiter: bytes  # ends a line of a client
 
-    def opened(self, client: Client) -> None:
+    def on_opened(self, client: Client) -> None:
         """A program has opened the modem."""
 
-    def line(self, client: Client, line: bytes) -> None:
+    def on_line(self, client: Client, line: bytes) -> None:
         """A program has said a line."""
 
-    def partial(self, client: Client) -> None:
+    def on_partial(self, client: Client) -> None:
         """A program has said the beginning of a line, which is in `said`."""
 
-    def closed(self, client: Client) -> None:
+    def on_closed(self, client: Client) -> None:
         """A program is gone."""
 
 
@@ -144,14 +144,14 @@ class LinePort:
     def end(self, client: Client) -> None:
         """End a connection; a terminal only forgets what was said."""
         if client.terminal:
-            client.said, client.waiting = b"", bytearray()
+            client.unfinished, client.waiting = b"", bytearray()
         if client.terminal or client not in self.clients:
             return
         self.clients.remove(client)
         with suppress(KeyError, ValueError):
             self._selector.unregister(client.descriptor)
         client.close()
-        self._translator.closed(client)
+        self._translator.on_closed(client)
 
     def close(self) -> None:
         """End everything."""
@@ -221,7 +221,7 @@ class LinePort:
     def _add(self, client: Client) -> None:
         self.clients.append(client)
         self._selector.register(client.descriptor, selectors.EVENT_READ, lambda: self._ready(client))
-        self._translator.opened(client)
+        self._translator.on_opened(client)
 
     def _ready(self, client: Client) -> None:
         if client in self.clients:
@@ -237,16 +237,16 @@ class LinePort:
         if not data:
             self.end(client)
             return
-        *lines, client.said = (client.said + data).split(self._translator.delimiter)
-        if len(client.said) > MOST_LINE:
+        *lines, client.unfinished = (client.unfinished + data).split(self._translator.delimiter)
+        if len(client.unfinished) > MOST_LINE:
             self.end(client)
             return
         for line in lines:
             if client not in self.clients:
                 return
-            self._do_for(client, partial(self._translator.line, client, line))
-        if client.said and client in self.clients:
-            self._do_for(client, partial(self._translator.partial, client))
+            self._do_for(client, partial(self._translator.on_line, client, line))
+        if client.unfinished and client in self.clients:
+            self._do_for(client, partial(self._translator.on_partial, client))
 
     def _do_for(self, client: Client, event: Callable[[], None]) -> None:
         """Do what a client wants. A defect of ours at an odd line costs it alone; the relay's log has it."""

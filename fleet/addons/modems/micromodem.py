@@ -118,26 +118,24 @@ class MicroModem:
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
-        self._modem, self._date = modem, ModemClock(modem.sea.begin_ns)
+        self._modem, self._date = modem, ModemClock(modem.channel.begin_ns)
         self._config["SRC"] = str(modem.address)
         for client in modem.line_port.clients:
-            self.opened(client)
+            self.on_opened(client)
 
-    # Clients.
-
-    def opened(self, client: Client) -> None:
+    def on_opened(self, client: Client) -> None:
         """See `Translator`."""
         if hasattr(self, "_modem"):  # a terminal is opened before that
             for what in _REBOOTED:
                 self._say_to(client, "CAREV", self._clock(), *what)
 
-    def partial(self, client: Client) -> None:
+    def on_partial(self, client: Client) -> None:
         """See `Translator`."""
 
-    def closed(self, client: Client) -> None:
+    def on_closed(self, client: Client) -> None:
         """See `Translator`."""
 
-    def line(self, client: Client, line: bytes) -> None:
+    def on_line(self, client: Client, line: bytes) -> None:
         """See `Translator`."""
         text = line[:_MOST_SENTENCE].decode("ascii", "replace").strip()
         if not text:
@@ -174,8 +172,6 @@ class MicroModem:
         if not 1 <= number <= BROADCAST:
             raise WrongSentenceError(6, f"NO ADDRESS {number}")
         return number
-
-    # Commands.
 
     def _configure(self, values: list[str]) -> None:
         name, value = _parameter(values[0]), values[1]
@@ -256,7 +252,7 @@ class MicroModem:
             self._date.set(date)
             then()
 
-        self._modem.after(self._date.wait_s(), pulse)
+        self._modem.call_after(self._date.wait_s(), pulse)
 
     def _mini(self, values: list[str]) -> None:
         to, data = self._address(values[1]), bytes.fromhex(values[2].zfill(4))
@@ -272,7 +268,7 @@ class MicroModem:
             if range_m is None:
                 self._say("CAMSG", "PACKET_TIMEOUT", 0)
             else:
-                self._say("CAMPR", to, self._modem.address, f"{range_m / self._modem.sea.sound_speed:.4f}")
+                self._say("CAMPR", to, self._modem.address, f"{range_m / self._modem.channel.sound_speed:.4f}")
                 self._statistics(0, 0, to, self._modem.address, 1, 0, monotonic_ns())
 
         if why := self._modem.range_to(to, measured):
@@ -295,7 +291,7 @@ class MicroModem:
             return
         packet.asked += 1
         number = packet.asked
-        size = min(RATES[packet.rate].size, self._modem.sea.mtu)
+        size = min(RATES[packet.rate].size, self._modem.channel.mtu)
         self._say("CADRQ", self._clock(), self._modem.address, packet.to, int(packet.answered), size, number)
 
         def late() -> None:
@@ -304,13 +300,13 @@ class MicroModem:
                 self._say("CAERR", self._clock(), "DATA_TIMEOUT", number)
                 self._packet_sent(packet.rate, packet.to, answered=packet.answered, frames=packet.count, mode=4)()
 
-        self._modem.after(DATA_TIMEOUT_S, late)
+        self._modem.call_after(DATA_TIMEOUT_S, late)
 
     def _data(self, values: list[str]) -> None:
         packet, data = self._packet, bytes.fromhex(values[3])
         if packet is None or len(packet.frames) >= packet.asked:
             raise WrongSentenceError(11, "NO DATA WERE ASKED FOR")
-        if len(data) > min(RATES[packet.rate].size, self._modem.sea.mtu):
+        if len(data) > min(RATES[packet.rate].size, self._modem.channel.mtu):
             raise WrongSentenceError(12, f"{len(data)} BYTES ARE TOO MANY FOR A FRAME")
         packet.answered |= bool(int(values[2]))
         packet.frames.append(data)
@@ -327,7 +323,7 @@ class MicroModem:
         data = bytes.fromhex(values[4])
         if rate not in SECOND_RATES:
             raise WrongSentenceError(10, f"RATE {rate} IS NOT THERE; THERE ARE {' '.join(map(str, SECOND_RATES))}")
-        most, size = SECOND_RATES[rate].frames, min(SECOND_RATES[rate].size, self._modem.sea.mtu)
+        most, size = SECOND_RATES[rate].frames, min(SECOND_RATES[rate].size, self._modem.channel.mtu)
         frames = [data[begin : begin + size] for begin in range(0, len(data), size)] or [b""]
         if len(frames) > most:
             raise WrongSentenceError(12, f"{len(data)} BYTES ARE TOO MANY: {most} FRAMES OF {size}")
@@ -355,7 +351,7 @@ class MicroModem:
         def say() -> None:
             if not self._is_on("XST"):
                 return
-            modem, now = self._modem.sea.modem, self._date.now
+            modem, now = self._modem.channel.modem, self._date.now
             date, time = f"{now:%Y%m%d}", f"{now:%H%M%S}.{now.microsecond // 100:04d}"
             head = [6, date, time, int(self._date.is_set), mode, 0, round(modem.bandwidth), round(modem.carrier)]
             whose = [rate, self._modem.address, to, int(answered), frames, 0 if mode else frames, 0, size]
@@ -387,22 +383,22 @@ class MicroModem:
             nonlocal left
             left -= 1
             if began and not left:
-                self._modem.after(wait_s, over)
+                self._modem.call_after(wait_s, over)
 
         def over() -> None:
             if self._is_on("TXF"):
                 self._say("CATXF", size)
             told()
 
-        if why := self._modem.submit(*(Job(data, _to(to), what, sent, dropped, head) for head, data in frames)):
+        if why := self._modem.submit(
+            *(Job(data, _parse_address(to), what, sent, dropped, head) for head, data in frames)
+        ):
             raise WrongSentenceError(5, why.upper())
-
-    # What the water says.
 
     def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`. Its language has no word for it."""
 
-    def heard(self, frame: HeardFrame, *, linked: bool) -> None:
+    def on_heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """See `ModemLanguage`."""
         to = frame.to or BROADCAST
         if frame.what == MINI:
@@ -436,14 +432,14 @@ class MicroModem:
         if len(coming.frames) == count:
             self._end(frame.src, to, frame.end_ns)
             return
-        sea = self._modem.sea
-        most_s = (count - number) * (sea.modem.airtime_ns(sea.mtu) / 1e9 + sea.access_s) + _LATE_S
+        channel = self._modem.channel
+        most_s = (count - number) * (channel.modem.airtime_ns(channel.mtu) / 1e9 + channel.access_s) + _LATE_S
 
         def late() -> None:
             if self._coming.get(frame.src) is coming:
                 self._end(frame.src, to, frame.end_ns)
 
-        self._modem.after(most_s, late)
+        self._modem.call_after(most_s, late)
 
     def _end(self, src: int, to: int, at_ns: int) -> None:
         """A packet is over: tell it, or what is missing of it, and acknowledge what has come."""
@@ -462,7 +458,7 @@ class MicroModem:
             bits = sum(1 << (number - 1) for number in coming.frames)
             self._modem.go_on(Job(bytes((bits & 255,)), src, ANSWER))
 
-    def pinged(self, frame: HeardFrame) -> None:
+    def on_pinged(self, frame: HeardFrame) -> None:
         """See `ModemLanguage`."""
         self._say("CAMPA", frame.src, self._modem.address)
         self._received(frame, 0)
@@ -471,7 +467,7 @@ class MicroModem:
         """Something of one part has been received. Goby3 hands it on when its statistics come."""
         self._statistics(0, rate, frame.src, frame.to or BROADCAST, 1, 0, frame.end_ns)
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """See `ModemLanguage`."""
         self._say("CAMSG", "BAD_CRC", 1)
         self._statistics(1, 0, 0, self._modem.address, 1, 1, at_ns)
@@ -480,7 +476,7 @@ class MicroModem:
         """CACST of version 6: fields that the channel does not know are 0, and the noise -100."""
         if not self._is_on("CST"):
             return
-        modem = self._modem.sea.modem
+        modem = self._modem.channel.modem
         at = self._date.at(at_ns)
         toa = f"{at:%Y%m%d%H%M%S}.{at.microsecond // 100:04d}"
         known = [rate, src, dst, 0, 0, frames, bad]
@@ -496,7 +492,7 @@ def _parameter(name: str) -> str:
     return name.upper() if len(name) == 3 else name
 
 
-def _to(address: int) -> int:
+def _parse_address(address: int) -> int:
     return EVERYBODY if address == BROADCAST else address
 
 

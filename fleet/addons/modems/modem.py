@@ -31,7 +31,17 @@ from typing import Any, Literal, Protocol
 from fleet.addons.modems.delivery import CLEARED, Deliveries, Job
 from fleet.addons.modems.line_port import LinePort, Translator
 from netem.cause import Cause
-from netem.endpoint import EVERYBODY, MOST_ADDRESS, UNKNOWN, HeardFrame, Level, ModemRequest, Sea, SentFrame, Sound
+from netem.endpoint import (
+    EVERYBODY,
+    MOST_ADDRESS,
+    UNKNOWN,
+    HeardFrame,
+    Level,
+    ModemChannel,
+    ModemRequest,
+    SentFrame,
+    Sound,
+)
 
 # Protocol numbers of what modems say to each other. Programs have 0 to 63, so none of theirs means that by chance.
 FIRST_OWN = 64
@@ -56,16 +66,16 @@ class ModemLanguage(Translator, Protocol):
     def begin(self, modem: ModemCore) -> None:
         """The channel carries from now on."""
 
-    def heard(self, frame: HeardFrame, *, linked: bool) -> None:
+    def on_heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """A payload has arrived for this modem, or for all. `linked`: it came by the link."""
 
-    def pinged(self, frame: HeardFrame) -> None:
+    def on_pinged(self, frame: HeardFrame) -> None:
         """Another modem measures its range to this one."""
 
     def begins(self, sound: Sound) -> None:
         """A transmission of another modem begins to be heard."""
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """A reception has failed."""
 
 
@@ -78,7 +88,10 @@ class _Ranging:
 
 
 class ModemCore:
-    """A modem endpoint in any language. It is handed to the process of the relay before it has begun."""
+    """A modem endpoint in any language. It is handed to the process of the relay before it has begun.
+
+    The thread of the relay calls `listen` to `on_reached`; what a language asks runs on the thread of the port.
+    """
 
     def __init__(
         self,
@@ -101,7 +114,7 @@ class ModemCore:
         """
         self.address = address or number
         self.number, self._make, self._where, self._terminal = number, make, (host, port), terminal
-        self.sea: Sea = None  # type: ignore[assignment]  # `begin` sets it, before anything asks
+        self.channel: ModemChannel = None  # type: ignore[assignment]  # `begin` sets it, before anything asks
         self._waiting: deque[Job] = deque()
         self._timed: list[Job] = []  # wait for their time
         self._given: dict[int, Job] = {}  # in the channel, by tag
@@ -116,8 +129,6 @@ class ModemCore:
         self._set = 0
         self._requests = cycle(range(256))  # numbers of ranges
 
-    # The relay's thread.
-
     def listen(self) -> str:
         """See `ModemEndpoint`."""
         self.language = self._make()
@@ -128,31 +139,31 @@ class ModemCore:
         self.line_port.listen(*self._where)
         return str(self.line_port.port)
 
-    def begin(self, sea: Sea) -> None:
+    def begin(self, channel: ModemChannel) -> None:
         """See `ModemEndpoint`."""
-        self.sea = sea
+        self.channel = channel
         if self.language.link is not None:
-            self._deliveries = Deliveries(self.language.link, PIGGYBACK, sea, self._put, self.after)
+            self._deliveries = Deliveries(self.language.link, PIGGYBACK, channel, self._put, self.call_after)
         self.language.begin(self)
         self.line_port.begin()
 
-    def sent(self, frame: SentFrame) -> None:
+    def on_sent(self, frame: SentFrame) -> None:
         """See `ModemEndpoint`."""
         self.line_port.post(lambda: self._has_sent(frame))
 
-    def dropped(self, tag: Any, cause: Cause) -> None:
+    def on_dropped(self, tag: Any, cause: Cause) -> None:
         """See `ModemEndpoint`."""
         self.line_port.post(lambda: self._was_dropped(tag, cause))
 
-    def heard(self, frame: HeardFrame) -> None:
+    def on_heard(self, frame: HeardFrame) -> None:
         """See `ModemEndpoint`."""
         self.line_port.post(lambda: self._hears(frame))
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level = UNKNOWN) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level = UNKNOWN) -> None:
         """See `ModemEndpoint`."""
-        self.line_port.post(lambda: self.language.spoiled(cause, at_ns, level))
+        self.line_port.post(lambda: self.language.on_spoiled(cause, at_ns, level))
 
-    def reached(self, sound: Sound) -> None:
+    def on_reached(self, sound: Sound) -> None:
         """See `ModemEndpoint`."""
         self.line_port.post(lambda: self._at(sound.begin_ns, lambda: self._hears_begin(sound)))
 
@@ -162,15 +173,13 @@ class ModemCore:
         said = ["its modem failed in part: the traceback is in log/relay.log"] if self.line_port.failed else []
         if self._refused:
             some = f"{self._refused} payload{'s' if self._refused > 1 else ''}"
-            said.append(f"its modem refused {some}, since {self.sea.queue} were waiting")
+            said.append(f"its modem refused {some}, since {self.channel.queue} were waiting")
         said += self._remarks
         return "; ".join(said)
 
     def close(self) -> None:
         """See `ModemEndpoint`."""
         self.line_port.close()
-
-    # What a language asks, on the thread of the port.
 
     @property
     def state(self) -> Literal["idle", "transmitting", "receiving"]:
@@ -183,7 +192,7 @@ class ModemCore:
     @property
     def room(self) -> int:
         """How many payloads it takes now."""
-        return self.sea.queue + (self._now is None) - len(self._waiting)
+        return self.channel.queue + (self._now is None) - len(self._waiting)
 
     @property
     def now_us(self) -> int:
@@ -192,11 +201,11 @@ class ModemCore:
 
     def us(self, at_ns: int) -> int:
         """A time of CLOCK_MONOTONIC [ns] as a time by its clock [us]. It is 0 before the run begins."""
-        return max(0, at_ns - self.sea.begin_ns) // 1000
+        return max(0, at_ns - self.channel.begin_ns) // 1000
 
     def at_ns(self, us: int) -> int:
         """A time by its clock [us] as a time of CLOCK_MONOTONIC [ns]."""
-        return self.sea.begin_ns + us * 1000
+        return self.channel.begin_ns + us * 1000
 
     def remark_once(self, text: str) -> None:
         """Tell something in the result of the run; of many different things the first few."""
@@ -228,11 +237,11 @@ class ModemCore:
         now = monotonic_ns()
         if why := self._unfit(job):
             return why
-        if self.sea.modem.tries:
+        if self.channel.modem.tries:
             return "its modem tells one neighbour after the other, and so begins at no time that is asked for"
         if at_ns < now:
             return f"the time is past: it is {self.us(now)} us, and {self.us(at_ns)} us were asked for"
-        if len(self._timed) >= self.sea.queue:
+        if len(self._timed) >= self.channel.queue:
             self._refused += 1
             return FULL
         job.at_ns = at_ns
@@ -242,8 +251,8 @@ class ModemCore:
 
     def _unfit(self, job: Job) -> str:
         """Why a payload can never be sent; empty: it can."""
-        if len(job.payload) > self.sea.mtu:
-            return f"{len(job.payload)} bytes are more than the MTU of {self.sea.mtu}"
+        if len(job.payload) > self.channel.mtu:
+            return f"{len(job.payload)} bytes are more than the MTU of {self.channel.mtu}"
         if not EVERYBODY <= job.to <= MOST_ADDRESS:
             return f"there is no address {job.to}: they are 1 to {MOST_ADDRESS}"
         return ""
@@ -271,7 +280,7 @@ class ModemCore:
             why that cannot be; empty: it waits for that.
         """
         assert self._deliveries is not None
-        if not EVERYBODY < to <= MOST_ADDRESS or len(payload) > self.sea.mtu:
+        if not EVERYBODY < to <= MOST_ADDRESS or len(payload) > self.channel.mtu:
             return "there is no such address, or the payload is longer than the MTU"
         self._deliveries.answer_with(to, payload)
         return ""
@@ -289,11 +298,11 @@ class ModemCore:
         if self._deliveries is not None:
             self._deliveries.clear()
         for job in waiting:
-            job.dropped(CLEARED)
+            job.on_dropped(CLEARED)
 
     def range_to(self, to: int, then: Callable[[float | None], None]) -> str:
         """Measure the range to a modem. Returns why it cannot be tried; empty: `then` gets the range, or None."""
-        air_s = 2 * self.sea.modem.airtime_ns(_ANSWER.size) / 1e9
+        air_s = 2 * self.channel.modem.airtime_ns(_ANSWER.size) / 1e9
         ranging = _Ranging(to, next(self._requests), then)
 
         def left(frame: SentFrame) -> None:
@@ -308,10 +317,10 @@ class ModemCore:
                 self._ranging.remove(ranging)
                 then(None)
 
-        self.after(self.sea.there_and_back_s + air_s + 2 * self.sea.access_s + SLACK_S, gives_up)
+        self.call_after(self.channel.there_and_back_s + air_s + 2 * self.channel.access_s + SLACK_S, gives_up)
         return ""
 
-    def after(self, wait_s: float, then: Callable[[], None]) -> None:
+    def call_after(self, wait_s: float, then: Callable[[], None]) -> None:
         """Call something after a time [s], on the thread of the port."""
         self._at(monotonic_ns() + round(wait_s * 1e9), then)
 
@@ -319,15 +328,13 @@ class ModemCore:
         self._set += 1
         heappush(self._alarms, (at_ns, self._set, then))
 
-    # Events.
-
     def _put(self, job: Job) -> None:
         """Let a payload wait for its transmission: of the modem's own, it may be one too many."""
-        if len(self._waiting) < self.sea.queue + _MOST_OWN:
+        if len(self._waiting) < self.channel.queue + _MOST_OWN:
             self._waiting.append(job)
             self._go_on()
         else:
-            job.dropped(str(Cause.QUEUE))
+            job.on_dropped(str(Cause.QUEUE))
 
     def _go_on(self) -> None:
         if self._now is None and self._waiting:
@@ -337,7 +344,9 @@ class ModemCore:
         """Give the channel a payload. Returns its tag."""
         tag = self._count = self._count + 1
         self._given[tag] = job
-        self.sea.send(ModemRequest(self.number, self.address, job.to, job.what, job.payload, tag, job.head, job.at_ns))
+        self.channel.send(
+            ModemRequest(self.number, self.address, job.to, job.what, job.payload, tag, job.head, job.at_ns)
+        )
         return tag
 
     def _give_timed(self, job: Job) -> None:
@@ -351,14 +360,14 @@ class ModemCore:
         job = self._over(frame.tag)
         if job is not None:
             self._sends_until_ns = max(self._sends_until_ns, frame.at_ns + frame.airtime_ns)
-            job.sent(frame)
+            job.on_sent(frame)
             self._go_on()
 
     def _was_dropped(self, tag: Any, cause: Cause) -> None:
         job = self._over(tag)
         if job is not None:
             busy = job.at_ns is not None and cause is Cause.QUEUE
-            job.dropped("the modem was still sending something else at that time" if busy else str(cause))
+            job.on_dropped("the modem was still sending something else at that time" if busy else str(cause))
             self._go_on()
 
     def _over(self, tag: Any) -> Job | None:
@@ -377,20 +386,20 @@ class ModemCore:
             return
         self.travel_us = (frame.begin_ns - frame.sent_ns) // 1000
         if self._deliveries is not None and frame.what == self.language.link:
-            if (carried := self._deliveries.heard(frame)) is not None:
-                self.language.heard(carried, linked=True)
+            if (carried := self._deliveries.take_frame(frame)) is not None:
+                self.language.on_heard(carried, linked=True)
         elif frame.what != RANGING:
-            self.language.heard(frame, linked=False)
+            self.language.on_heard(frame, linked=False)
         elif len(frame.payload) == _REQUEST.size:
-            came_ns = frame.begin_ns - self.sea.begin_ns  # clocks of hosts differ, as do real and simulated ones
+            came_ns = frame.begin_ns - self.channel.begin_ns  # clocks of hosts differ, as do real and simulated ones
             self._put(Job(_ANSWER.pack(frame.payload[0], came_ns), frame.src, RANGING))
-            self.language.pinged(frame)
+            self.language.on_pinged(frame)
         elif len(frame.payload) == _ANSWER.size:
             number, came_ns = _ANSWER.unpack(frame.payload)
             for one in [one for one in self._ranging if (one.to, one.number) == (frame.src, number) and one.sent_ns]:
                 self._ranging.remove(one)
-                travel_ns = (frame.begin_ns - one.sent_ns) - (frame.sent_ns - self.sea.begin_ns - came_ns)
-                one.then(self.sea.sound_speed * travel_ns / 2e9)
+                travel_ns = (frame.begin_ns - one.sent_ns) - (frame.sent_ns - self.channel.begin_ns - came_ns)
+                one.then(self.channel.sound_speed * travel_ns / 2e9)
 
     def _tick(self) -> float | None:
         while self._alarms and self._alarms[0][0] <= monotonic_ns():

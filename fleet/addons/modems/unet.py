@@ -15,7 +15,7 @@ from itertools import count
 from typing import Any
 
 from fleet.addons.modems.delivery import CLEARED, Job
-from fleet.addons.modems.fragments import MOST_PIECES, Fragments
+from fleet.addons.modems.fragments import MOST_PIECES, PayloadPieces
 from fleet.addons.modems.line_port import Client
 from fleet.addons.modems.modem import FIRST_OWN, ModemCore
 from fleet.addons.modems.unet_fields import CONTROL, DATA, WrongFieldError, place_of, read_frame, read_number
@@ -56,25 +56,23 @@ class Unet:
     def __init__(self) -> None:
         self._numbers = count(1)
         self._location: list[float] | None = None  # east, north, up [m]; None: the client has set none
-        self._fragments, self._clears = Fragments(), 0
+        self._fragments, self._clears = PayloadPieces(), 0
 
     def begin(self, modem: ModemCore) -> None:
         """See `ModemLanguage`."""
         self._modem = modem
 
-    # Clients.
-
-    def opened(self, client: Client) -> None:
+    def on_opened(self, client: Client) -> None:
         """See `Translator`."""
         client.state = frozenset[str]()  # topics and agents whose messages it wants
 
-    def partial(self, client: Client) -> None:
+    def on_partial(self, client: Client) -> None:
         """See `Translator`."""
 
-    def closed(self, client: Client) -> None:
+    def on_closed(self, client: Client) -> None:
         """See `Translator`."""
 
-    def line(self, client: Client, line: bytes) -> None:
+    def on_line(self, client: Client, line: bytes) -> None:
         """See `Translator`. What is no JSON of fjage is dropped, as a container of fjage drops it."""
         try:
             said = json.loads(line)
@@ -108,7 +106,7 @@ class Unet:
                 self._take(client, said.get("message"))
 
     def _answer(self, client: Client, values: Mapping[str, Any]) -> None:
-        self._modem.after(ANSWER_S, lambda: self._say(client, values))
+        self._modem.call_after(ANSWER_S, lambda: self._say(client, values))
 
     def _say(self, client: Client, values: Mapping[str, Any]) -> None:
         self._modem.line_port.say(client, json.dumps(values).encode() + b"\n")
@@ -126,8 +124,6 @@ class Unet:
                 if topic in client.state:
                     self._tell(client, name, agent, topic, **data)
                     break
-
-    # Requests.
 
     def _take(self, client: Client, message: Any) -> None:
         data = message.get("data") if isinstance(message, dict) else None
@@ -160,10 +156,10 @@ class Unet:
         reply.perform("AGREE")
 
     def _resolve(self, reply: _Reply, data: dict[str, Any]) -> None:
-        addresses = self._modem.sea.addresses
+        addresses = self._modem.channel.addresses
         found: dict[str, Any] = {"perf": "FAILURE", "address": None}
         if (name := str(data.get("name"))) in addresses:
-            address = self._modem.address if name == self._modem.sea.name else addresses[name]
+            address = self._modem.address if name == self._modem.channel.name else addresses[name]
             found = {"address": address}
         # `host` of unetpy 4.1 reads the address of any answer, and raises AttributeError at one without.
         reply.tell(f"{_UNET}.addr.AddressResolutionRsp", name=name, **found)
@@ -209,7 +205,7 @@ class Unet:
     @property
     def _longest(self) -> int:
         """Bytes of the longest datagram of the link, which cuts it into frames as that of UnetStack does."""
-        return MOST_PIECES * self._modem.sea.mtu
+        return MOST_PIECES * self._modem.channel.mtu
 
     def _send_pieces(self, reply: _Reply, whole: Job, ends: Callable[[HeardFrame | None], None] | None) -> None:
         """Send a datagram of the link, one piece after the other. `ends` learns whether all are acknowledged; None:
@@ -217,27 +213,27 @@ class Unet:
         modem, began, pieces, turn = (
             self._modem,
             list[SentFrame](),
-            self._fragments.split(whole.payload, self._modem.sea.mtu),
+            self._fragments.split(whole.payload, self._modem.channel.mtu),
             self._clears,
         )
 
         def send(number: int) -> str:
             head, data = pieces[number]
-            job = replace(whole, payload=data, head=head, sent=partial(sent, number))
+            job = replace(whole, payload=data, head=head, on_sent=partial(sent, number))
             if ends is None:
                 job = modem.unacknowledged(job)
                 return modem.go_on(job) if number else modem.submit(job)
-            job.sent, job.dropped = lambda _: None, lambda _: None
+            job.on_sent, job.on_dropped = lambda _: None, lambda _: None
             return modem.deliver(job, self._tries, partial(answered, number), goes_on=number > 0)
 
         def sent(number: int, frame: SentFrame) -> None:
             began.append(frame)
             if number + 1 == len(pieces):  # it is told when all of it is on its way
-                whole.sent(began[0]._replace(airtime_ns=sum(each.airtime_ns for each in began)))
+                whole.on_sent(began[0]._replace(airtime_ns=sum(each.airtime_ns for each in began)))
             elif self._clears == turn:
                 send(number + 1)
             else:
-                whole.dropped(CLEARED)
+                whole.on_dropped(CLEARED)
 
         def answered(number: int, answer: HeardFrame | None) -> None:
             assert ends is not None
@@ -251,7 +247,7 @@ class Unet:
 
     @property
     def _tries(self) -> int:
-        return self._modem.sea.modem.tries or _MOST_TRIES
+        return self._modem.channel.modem.tries or _MOST_TRIES
 
     def _parameters(self, reply: _Reply, data: dict[str, Any]) -> None:
         number = read_number(data, "index")
@@ -281,21 +277,21 @@ class Unet:
         )  # fmt: skip
 
     def _values(self, agent: str, index: int) -> dict[str, Any]:
-        modem, sea = self._modem, self._modem.sea
+        modem, channel = self._modem, self._modem.channel
         if agent == NODE:
-            north, east, down = sea.place()[:3]
+            north, east, down = channel.place()[:3]
             place = self._location or [east, north, -down]
-            return {"address": modem.address, "nodeName": sea.name, "addressSize": 8, "location": place,
+            return {"address": modem.address, "nodeName": channel.name, "addressSize": 8, "location": place,
                     "origin": [None, None], "mobility": False}  # fmt: skip
         if agent == PHYSICAL:
-            rate = 8 * sea.mtu / (sea.modem.airtime_ns(sea.mtu) / 1e9)
+            rate = 8 * channel.mtu / (channel.modem.airtime_ns(channel.mtu) / 1e9)
             if index in (CONTROL, DATA):
-                return {"MTU": sea.mtu, "frameLength": sea.mtu, "dataRate": rate,
-                        "frameDuration": sea.modem.airtime_ns(sea.mtu) / 1e9}  # fmt: skip
+                return {"MTU": channel.mtu, "frameLength": channel.mtu, "dataRate": rate,
+                        "frameDuration": channel.modem.airtime_ns(channel.mtu) / 1e9}  # fmt: skip
             if index != -1:
                 return {}
-            return {"MTU": sea.mtu, "RTU": sea.mtu, "busy": modem.state != "idle", "time": modem.now_us,
-                    "rxEnable": True, "propagationSpeed": sea.sound_speed, "timestampedTxDelay": 0.0}  # fmt: skip
+            return {"MTU": channel.mtu, "RTU": channel.mtu, "busy": modem.state != "idle", "time": modem.now_us,
+                    "rxEnable": True, "propagationSpeed": channel.sound_speed, "timestampedTxDelay": 0.0}  # fmt: skip
         if agent == LINK:
             return {"MTU": self._longest, "RTU": self._longest, "reliability": True,
                     "maxRetries": self._tries, "phy": PHYSICAL}  # fmt: skip
@@ -306,22 +302,20 @@ class Unet:
             self._modem.address = value
         elif (agent, name) == (NODE, "location") and (place := place_of(value)) is not None:
             east, north, up = self._location = place
-            self._modem.sea.move((north, east, -up))
+            self._modem.channel.move((north, east, -up))
         else:
             return
         changed = {name: self._values(NODE, -1)[name]}
         self._publish(f"{_UNET}.ParamChangeNtf", NODE, (PARAMETER_TOPIC,), paramValues=changed)
 
-    # What the water says.
-
-    def pinged(self, frame: HeardFrame) -> None:
+    def on_pinged(self, frame: HeardFrame) -> None:
         """See `ModemLanguage`. Its language has no word for it."""
 
     def begins(self, sound: Sound) -> None:
         """See `ModemLanguage`."""
         self._publish(f"{_UNET}.phy.RxFrameStartNtf", PHYSICAL, rxTime=self._modem.us(sound.begin_ns), type=DATA)
 
-    def heard(self, frame: HeardFrame, *, linked: bool) -> None:
+    def on_heard(self, frame: HeardFrame, *, linked: bool) -> None:
         """See `ModemLanguage`. A frame of the modem is a RxFrameNtf, which is a DatagramNtf with more in it."""
         if (payload := self._fragments.join(frame) if linked else frame.payload) is None:
             return
@@ -335,7 +329,7 @@ class Unet:
         else:
             self._publish(f"{_UNET}.phy.RxFrameNtf", PHYSICAL, (DATAGRAM_TOPIC,), **data, type=DATA)
 
-    def spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
+    def on_spoiled(self, cause: Cause, at_ns: int, level: Level) -> None:
         """See `ModemLanguage`."""
         at_us = self._modem.us(at_ns)
         self._publish(f"{_UNET}.phy.BadFrameNtf", PHYSICAL, rxTime=at_us, type=DATA)
@@ -353,7 +347,7 @@ class _Reply:
     def tell(self, name: str, /, **data: Any) -> None:
         whole = data | {"inReplyTo": self._request}
         say = partial(self._node._tell, self._client, name, self.agent, self._to, **whole)
-        self._node._modem.after(REPLY_S, say)
+        self._node._modem.call_after(REPLY_S, say)
 
     def perform(self, performative: str) -> None:
         self.tell(f"{_FJAGE}.Message", perf=performative)

@@ -24,7 +24,7 @@ class WrongFieldError(FleetError):
     """A field that cannot be understood: which, what it holds, and what was expected."""
 
 
-class Frame(NamedTuple):
+class UnetFrame(NamedTuple):
     """What a request wants to be sent."""
 
     to: int  # an address; EVERYBODY: all
@@ -35,7 +35,7 @@ class Frame(NamedTuple):
     at_us: int | None  # when it begins, by the modem's clock; None: when it is its turn
 
 
-def read_frame(data: Mapping[str, Any]) -> Frame:
+def read_frame(data: Mapping[str, Any]) -> UnetFrame:
     """Read a DatagramReq or a TxFrameReq.
 
     Args:
@@ -57,9 +57,9 @@ def read_frame(data: Mapping[str, Any]) -> Frame:
     if kind not in (None, CONTROL, DATA):
         raise WrongFieldError(f"there is no frame type {kind}: they are {CONTROL} (CONTROL) and {DATA} (DATA)")
     if reliable is not None and not isinstance(reliable, bool):
-        raise WrongFieldError(f"reliability is true or false, got {_shown(reliable)}")
+        raise WrongFieldError(f"reliability is true or false, got {_show(reliable)}")
     at_us = read_number(data, "txTime")
-    return Frame(EVERYBODY if to is None else to, payload, what, kind or DATA, bool(reliable), at_us)
+    return UnetFrame(EVERYBODY if to is None else to, payload, what, kind or DATA, bool(reliable), at_us)
 
 
 def read_number(data: Mapping[str, Any], name: str) -> int | None:
@@ -84,10 +84,10 @@ def read_number(data: Mapping[str, Any], name: str) -> int | None:
     if isinstance(value, str) and len(value) <= _MOST_DIGITS and value.isascii():
         with suppress(ValueError):
             return int(value)
-    raise WrongFieldError(f"{name} is a whole number, got {_shown(value)}")
+    raise WrongFieldError(f"{name} is a whole number, got {_show(value)}")
 
 
-def _shown(value: Any) -> str:
+def _show(value: Any) -> str:
     """A value as an error shows it."""
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."

@@ -25,7 +25,7 @@ RANGE_SIGMA = 0.02
 _BEARING, _ELEVATION, _RANGE = "usbl bearing", "usbl elevation", "usbl range"  # purposes of draws
 
 
-class Fix(NamedTuple):
+class UsblFix(NamedTuple):
     """Where a modem is, as it was measured."""
 
     range_m: float
@@ -39,7 +39,7 @@ class Fix(NamedTuple):
         return flat * sin(self.bearing), flat * cos(self.bearing), self.range_m * sin(self.elevation)
 
 
-def measure_fix(away: tuple[float, ...], travelled_m: float, sigma: float, seed: int, key: tuple[int, ...]) -> Fix:
+def measure_fix(away: tuple[float, ...], travelled_m: float, sigma: float, seed: int, key: tuple[int, ...]) -> UsblFix:
     """Measure where a sound comes from.
 
     Args:
@@ -55,7 +55,7 @@ def measure_fix(away: tuple[float, ...], travelled_m: float, sigma: float, seed:
     north, east, down = away[:3]
     far = hypot(north, east, down)
     bearing, elevation = atan2(east, north), asin(max(-1.0, min(1.0, -down / far))) if far else 0.0
-    return Fix(
+    return UsblFix(
         max(0.0, travelled_m + RANGE_SIGMA * normal(seed, _RANGE, *key)),
         (bearing + sigma * normal(seed, _BEARING, *key)) % (2.0 * pi),
         elevation + sigma * normal(seed, _ELEVATION, *key),

@@ -13,6 +13,6 @@ ADDON = AddOn(
             "movie": Verb("fleet.addons.page.verbs.movie:movie", "Make a GIF or an MP4 of a log."),
         },
     },
-    companions=("fleet.addons.page.companion:Page",),
+    companions=("fleet.addons.page.companion:PageCompanion",),
     hints={"play": "fleet view (a log on a screen)", **dict.fromkeys(("gui", "dashboard", "ui", "show"), "fleet view")},
 )

@@ -13,7 +13,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.message import DecodeError
 from mcap.records import Channel, Schema
 
-from fleet.logs.decoder import UNITS, decoded, known_class, units_of
+from fleet.logs.decoder import UNITS, decode_message, known_class, units_of
 from fleet.replay.topics import PublishedTopic
 from fleet.scenario.sections.signals import SignalName, component, parse_name
 from netem.parsing import nearest
@@ -97,7 +97,7 @@ class Signals:
             self.by_name[made] = whole._replace(name=made, absolute=True)
             self.of_vehicles.setdefault(str(SignalName(name, True)), {})[i] = made
 
-    def offered(self) -> dict[str, Any]:
+    def offers(self) -> dict[str, Any]:
         """The signals that can be shown, each with its unit. A signal of several vehicles also has its names.
 
         In the names of the latter a * stands for the number of the vehicle.
@@ -108,7 +108,7 @@ class Signals:
             fleet[name] = [self.by_name[first].unit, first.replace(f"uuv/{i}/", "uuv/*/", 1)]
         return {"units": self.units, "fleet": fleet}
 
-    def meant(self, name: str) -> list[str]:
+    def names_of(self, name: str) -> list[str]:
         """The names of one signal, or of a signal of all vehicles. Raises KeyError: there is no such signal."""
         names = [name] if name in self.by_name else list(self.of_all(name).values())
         if not names:
@@ -133,7 +133,7 @@ class Signals:
         if not (some := self.followed.get(topic)):
             return
         try:
-            message = decoded(self._classes[topic], data)
+            message = decode_message(self._classes[topic], data)
         except DecodeError:
             return
         for signal in some:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import click
 
-from fleet.cli.companion import Beside, Companion
+from fleet.cli.companion import Companion, RunCompanion
 from fleet.cli.documents.output import json_is_asked
 from fleet.option import Option
 
@@ -29,7 +29,7 @@ class PageOptions:
         "Open a page in the browser that shows the run; there you can also disturb it.")] = False  # fmt: skip
 
 
-class Page(Companion):
+class PageCompanion(Companion):
     """The page in the browser, served by a process beside the run."""
 
     options_type = PageOptions
@@ -44,7 +44,7 @@ class Page(Companion):
         return replace(how, publish=True)
 
     @contextmanager
-    def beside(self, how: Options) -> Iterator[Beside]:
+    def start(self, how: Options) -> Iterator[RunCompanion]:
         """The page. On a terminal it stays until Ctrl-C when the run is over."""
         from fleet.addons.page.page_process import PageProcess
         from fleet.addons.page.server import Browser, open_listener
@@ -53,7 +53,7 @@ class Page(Companion):
         click.echo(f"the run in the browser: {listener.address}", err=True)
         with closing(PageProcess(listener)) as page, closing(Browser(listener.address)) as browser:
             browser.open()
-            yield _Beside(page)
+            yield _RunPage(page)
             stays = not (how.quiet or json_is_asked())
             if stays and sys.stdin.isatty() and sys.stderr.isatty():
                 click.echo("the page stays as it is; Ctrl-C ends it", err=True)
@@ -61,12 +61,12 @@ class Page(Companion):
                     page.wait()
 
 
-class _Beside(Beside):
+class _RunPage(RunCompanion):
     def __init__(self, page: PageProcess) -> None:
         self._page = page
 
-    def published(self, directory: Path) -> None:
-        self._page.published(directory)
+    def on_run_published(self, directory: Path) -> None:
+        self._page.on_run_published(directory)
 
-    def over(self, directory: Path) -> None:
-        self._page.over(directory)
+    def on_run_ended(self, directory: Path) -> None:
+        self._page.on_run_ended(directory)

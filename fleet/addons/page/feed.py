@@ -14,7 +14,7 @@ from google.protobuf.message import DecodeError
 from fleet.addons.page.chart_signals import Signals
 from fleet.addons.page.view_state import Row, ViewState
 from fleet.logs import fault_intervals as logged
-from fleet.logs.decoder import decoded
+from fleet.logs.decoder import decode_message
 from fleet.logs.fault_intervals import FaultMessage
 from fleet.logs.schemas import BELIEF, FAULT, LOCATED, PACKET, flat_schema
 from fleet.logs.topic_names import believer_of, link_of
@@ -43,20 +43,20 @@ def take(
         picture.signal(name, at_s, value)
     with suppress(DecodeError):
         if topic == TRANSFORMS:
-            picture.transforms(at_s, decoded(FrameTransforms, data))
+            picture.transforms(at_s, decode_message(FrameTransforms, data))
         elif topic == FAULTS:
             if (message := fault_message(data, picture.scenario.nodes)) is not None:
                 picture.event(at_s, message)
         elif (believer := believer_of(topic)) is not None:
-            picture.believes(*believer, at_s, decoded(_BELIEFS[believer[1]], data))
+            picture.believes(*believer, at_s, decode_message(_BELIEFS[believer[1]], data))
         elif (link := link_of(topic)) is not None:
-            picture.packet(link, decoded(_PACKET, data), moving=moving)
+            picture.packet(link, decode_message(_PACKET, data), moving=moving)
 
 
 def fault_message(data: bytes, names: Sequence[str] = ()) -> FaultMessage | None:
     """A message of the topic `faults`; None: it is damaged. `names`: of the nodes."""
     try:
-        return logged.fault_message(decoded(_FAULT, data), names)
+        return logged.fault_message(decode_message(_FAULT, data), names)
     except DecodeError:
         return None
 
@@ -64,7 +64,7 @@ def fault_message(data: bytes, names: Sequence[str] = ()) -> FaultMessage | None
 def is_lost(data: bytes) -> bool:
     """Whether a message of a topic `link/<src>-<dst>` tells of a packet that did not arrive whole."""
     with suppress(DecodeError):
-        packet = decoded(_PACKET, data)
+        packet = decode_message(_PACKET, data)
         return bool(packet.corrupted or packet.fate not in (Cause.DELIVERED, Cause.IN_FLIGHT))
     return False
 

@@ -74,7 +74,7 @@ class LiveBridge:
         """Ask for the topics, and listen. `control`: whether viewers may inject, heal and hold the clock. Raises
         FleetError: the run does not say what it publishes; there is no port, or only the observer's credentials are at
         hand, and viewers are to control."""
-        offered = services(source.controlled()) if control else ()
+        offered = services(source.open_control()) if control else ()
         self._journal = journal
         self._topics = dict(sorted(ask_topics(journal.bus, journal.keys).items()))
         self._numbers = {topic: n for n, topic in enumerate(self._topics)}

@@ -33,22 +33,22 @@ _BESIDE = (ATTACHMENT, DELETE)  # what stands beside the messages of captured tr
 class LogBridge:
     """From a log to a server for viewers. It plays while somebody watches, and never ends by itself."""
 
-    def __init__(self, tape: SeekableLog, host: str, port: int | None, *, rate: float, loop: bool) -> None:
+    def __init__(self, log: SeekableLog, host: str, port: int | None, *, rate: float, loop: bool) -> None:
         """Listen. `rate`: times the log's own pace. `loop`: begin again at the end. Raises FleetError: there is no
         port."""
-        self._tape, self._loop = tape, loop
-        ours = "uuv-fleet" in tape.metadata.get("run", {})
-        self._begin_ns = 0 if ours else tape.due(0)  # simulated time begins at 0, whatever is logged first
-        self._end_ns = tape.end_ns
+        self._log, self._loop = log, loop
+        ours = "uuv-fleet" in log.metadata.get("run", {})
+        self._begin_ns = 0 if ours else log.due(0)  # simulated time begins at 0, whatever is logged first
+        self._end_ns = log.end_ns
         self.server = FoxgloveServer(
-            tape.path.parent.name if ours else tape.path.name,
+            log.path.parent.name if ours else log.path.name,
             host,
             port,
-            {n: _channel(tape, n) for n, c in tape.channels.items() if c.metadata.get(KIND) not in _BESIDE},
+            {n: _channel(log, n) for n, c in log.channels.items() if c.metadata.get(KIND) not in _BESIDE},
             range_ns=(self._begin_ns, self._end_ns),
         )
         self._chosen: set[int] = set()
-        self._track = Track(tape, ())
+        self._track = Track(log, ())
         self._player = Player(self._track, self._begin_ns, self._end_ns, rate=rate, paused=True)
         self._begun = False
 
@@ -79,7 +79,7 @@ class LogBridge:
         now, before = time.monotonic_ns(), self._player
         at = before.position(now)
         self._chosen = wanted = self.server.wanted
-        self._track = track = Track(self._tape, wanted)
+        self._track = track = Track(self._log, wanted)
         self._player = Player(
             track, self._begin_ns, self._end_ns, rate=before.rate, paused=before.paused, now=now, before=track.before
         )
@@ -156,7 +156,7 @@ class LogBridge:
             self.server.put(entry.channel.id, entry.data, entry.log_ns)
 
     def _send_last(self, channels: Iterable[int], log_ns: int) -> None:
-        for _, entry in self._tape.last(sorted(channels), log_ns):
+        for _, entry in self._log.last(sorted(channels), log_ns):
             self.server.put(entry.channel.id, entry.data, entry.log_ns)
 
     def _describe(self, now: int) -> list[Piece]:
@@ -167,14 +167,14 @@ class LogBridge:
             Piece(0, [f"t = {at:.2f} / {end:.2f} s"]),
             Piece(1, [("paused" if player.paused else f"{player.rate:.3g} x real time") if self._begun else "waiting"]),
             Piece(2, [viewers]),
-            Piece(3, [f"{len(self._chosen)} of {len(self._tape.channels)} topics", ""]),
+            Piece(3, [f"{len(self._chosen)} of {len(self._log.channels)} topics", ""]),
             Piece(4, [f"{server.sent} messages", ""]),
         ]
 
 
-def _channel(tape: SeekableLog, number: int) -> FoxgloveChannel:
-    channel = tape.channels[number]
-    schema = tape.schemas.get(channel.schema_id)
+def _channel(log: SeekableLog, number: int) -> FoxgloveChannel:
+    channel = log.channels[number]
+    schema = log.schemas.get(channel.schema_id)
     encoding = channel.message_encoding or "application/octet-stream"
     if schema is None:
         return FoxgloveChannel(channel.topic, encoding, "", "", b"")

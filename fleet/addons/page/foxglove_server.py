@@ -55,7 +55,7 @@ class FoxgloveChannel(NamedTuple):
     schema_encoding: str
     schema_data: bytes
 
-    def made(self, context: foxglove.Context) -> foxglove.Channel:
+    def make(self, context: foxglove.Context) -> foxglove.Channel:
         schema = None
         if self.schema:
             schema = foxglove.Schema(name=self.schema, encoding=self.schema_encoding, data=self.schema_data)
@@ -109,13 +109,13 @@ class FoxgloveServer:
         self._told_ns = 0  # wall time
         self.sent = 0  # messages that somebody wanted
         self._context = context = foxglove.Context()  # the SDK itself does not hold it
-        self._channels = {number: channel.made(context) for number, channel in channels.items()}
+        self._channels = {number: channel.make(context) for number, channel in channels.items()}
         numbers: dict[int, list[int]] = {}  # the SDK has one channel for those of one topic and schema
         for number, made in self._channels.items():
             numbers.setdefault(made.id(), []).append(number)
         self._drops = _Drops()
         allow_most_open_files()  # connections that never ask for anything take one each
-        self._server = _started(
+        self._server = _start_server(
             host,
             [PORT, 0] if port is None else [port],
             name=name,
@@ -190,7 +190,7 @@ class FoxgloveServer:
         self._server.stop()
 
 
-def _started(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
+def _start_server(host: str, ports: Sequence[int], **settings: Any) -> WebSocketServer:
     for port in ports:
         try:
             return foxglove.start_server(host=host, port=port, **settings)

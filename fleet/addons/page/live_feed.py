@@ -15,7 +15,7 @@ from fleet.addons.page.feed import FAULTS, MOST_CHARTED, TRANSFORMS, checks_aske
 from fleet.addons.page.source import LiveSource
 from fleet.addons.page.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
 from fleet.execution.connection import OpenConnection, RemoteError, find, is_live
-from fleet.execution.directory import SCENARIO, in_use
+from fleet.execution.directory import SCENARIO, is_in_use
 from fleet.logs.topic_names import BELIEFS, link_of
 from fleet.replay.live_journal import LiveJournal, Missing, left_out
 from fleet.replay.player import MeasuredRate
@@ -103,7 +103,7 @@ class LiveFeed:
         for topic, log_ns, data in beliefs:
             take(self.picture, topic, log_ns / 1e9, data)
         if told:
-            self.picture.told(told["at_s"], told["links"])
+            self.picture.set_link_ages(told["at_s"], told["links"])
         self._rate.update(time.monotonic_ns(), int(self.picture.at_s * 1e9))
         return bool(come or beliefs)
 
@@ -112,7 +112,7 @@ class LiveFeed:
         if self._over:
             return
         self._published = self._journal.bus.connected
-        if self._run is None and self.source.awaited and in_use(self.source.directory):
+        if self._run is None and self.source.awaited and is_in_use(self.source.directory):
             with suppress(RemoteError):
                 self._run = find(str(self.source.directory))
             if self._run is None:
@@ -131,13 +131,13 @@ class LiveFeed:
                 for row in events if row["lasts"]
             ]  # fmt: skip
             self.picture.faults([*known["faults"], *lasting])
-            self.picture.happened(events)
+            self.picture.set_vehicle_events(events)
             self.checks = checks_so_far(self.ask("checks")["checks"])
         except RemoteError as error:
             if is_live(self._run):
                 self._status = self._status | {"waiting": str(error)}
             else:
-                whole = in_use(self.source.directory) or (self.source.directory / RESULT).exists()
+                whole = is_in_use(self.source.directory) or (self.source.directory / RESULT).exists()
                 self._over = "the run is over" if whole else "the run broke: its console is gone"
 
     def ask(self, op: str, **fields: Any) -> Row:
@@ -178,7 +178,7 @@ class LiveFeed:
         """Bring these signals into the picture, and those that have a chart from the start, and no others. The latter
         need no browser that asks for them. So one that comes later, or comes back, sees their last minute. Raises
         KeyError: there is none of a name."""
-        names = {*names, *(name for charted in self.charted for name in self.signals.meant(charted))}
+        names = {*names, *(name for charted in self.charted for name in self.signals.names_of(charted))}
         self.signals.follow(names)
         self.picture.follow(names)
         topics = {topic for topic in self.signals.followed if link_of(topic) is None}  # those of links come already

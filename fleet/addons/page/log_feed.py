@@ -33,7 +33,7 @@ from fleet.mcap.reader import LogReadError
 from fleet.mcap.records import Array
 from fleet.mcap.seekable_log import SeekableLog, Track
 from fleet.quantities import vehicle_numbers
-from fleet.repeat.recorded_run import recorded
+from fleet.repeat.recorded_run import read_recorded_run
 from fleet.replay.player import Player
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.fault_entry import TUMBLED
@@ -199,23 +199,23 @@ class LogFeed:
         self.path = path
         self._loop = loop
         self.name = run_name(path)
-        run = recorded(path)
+        run = read_recorded_run(path)
         self.scenario: Scenario = run.script()
         self._begin_s = begin_ns(run.reader) / 1e9
-        self._tape = SeekableLog(run.path)
-        self._topics = {n: channel.topic for n, channel in self._tape.channels.items()}
-        self.signals = Signals(self._tape.channels.values(), self._tape.schemas)
+        self._log = SeekableLog(run.path)
+        self._topics = {n: channel.topic for n, channel in self._log.channels.items()}
+        self.signals = Signals(self._log.channels.values(), self._log.schemas)
         self.picture = ViewState(self.scenario)
         self.picture.faults(self._all_faults())
-        self.missing = self._tape.missing
+        self.missing = self._log.missing
         judged = checks_judged(path)
         self.checks = judged if judged and judged["rows"] else checks_asked(self.scenario)
         looked_at = [name for row in self.checks["rows"] for name in row.get("signals", ())]
         checked = map(str, checked_signals(self.scenario.spec.checks, looked_at))
         self.charted = [name for name in checked if self.signals.of_all(name)][:MOST_CHARTED]
         self._track = self._tracked()
-        self._beliefs = [(len(numbers), Track(self._tape, numbers)) for numbers in self._believers()]
-        self.end_s = self._tape.end_ns / 1e9
+        self._beliefs = [(len(numbers), Track(self._log, numbers)) for numbers in self._believers()]
+        self.end_s = self._log.end_ns / 1e9
         self.player = self._player(0, rate)
         self._jumped = False
         self.seek(0.0)
@@ -231,12 +231,12 @@ class LogFeed:
     def _tracked(self) -> Track:
         more = self.signals.followed
         chosen = [n for n, t in self._topics.items() if t == TRANSFORMS or link_of(t) is not None or t in more]
-        return Track(self._tape, chosen)
+        return Track(self._log, chosen)
 
     def _player(self, at_ns: int, rate: float = 1.0, *, paused: bool = True) -> Player:
         now = time.monotonic_ns()
         track = self._track
-        player = Player(track, 0, self._tape.end_ns, rate=rate, paused=paused, now=now, before=track.before)
+        player = Player(track, 0, self._log.end_ns, rate=rate, paused=paused, now=now, before=track.before)
         player.seek(now, at_ns)
         return player
 
@@ -245,7 +245,7 @@ class LogFeed:
         at."""
         happened: list[tuple[float, FaultMessage]] = []
         held = 0  # bytes
-        track = Track(self._tape, [n for n, topic in self._topics.items() if topic == FAULTS])
+        track = Track(self._log, [n for n, topic in self._topics.items() if topic == FAULTS])
         for _, entry in track.entries(range(len(track))):
             held += len(entry.data)
             if len(track) > LOG_FAULTS.items or held > LOG_FAULTS.bytes:
@@ -253,7 +253,7 @@ class LogFeed:
                 raise LogReadError(f"{self.path} tells of more faults than are shown: expected at most {most}")
             if (event := fault_message(entry.data, self.scenario.nodes)) is not None:
                 happened.append((entry.log_ns / 1e9, event))
-        return [fault_row(one) for one in intervals(happened, self._tape.end_ns / 1e9)]
+        return [fault_row(one) for one in intervals(happened, self._log.end_ns / 1e9)]
 
     def advance(self) -> bool:
         """Take what is due; whether there is something new to show."""
@@ -290,8 +290,6 @@ class LogFeed:
         note = f"The log is not whole: {self.missing}" if self.missing else ""
         note = note or ("" if self.picture.placed else NOT_PLACED)
         return {"text": text, "paused": player.paused, "rate": player.rate, "over": over, "waiting": "", "note": note}
-
-    # What the time line does
 
     def toggle(self) -> None:
         """Play or pause; from the end it begins again."""

@@ -111,7 +111,9 @@ def write(
             part.open("a").close()  # before the pictures, which take a while
             writer.setup(scene.figure, part, dpi=width / WIDTH_IN)
             _grab(
-                writer, _drawn(feed, scene, begin_s, end_s, speed, fps, count), lambda k: on_progress((k + 1) / count)
+                writer,
+                _draw_frames(feed, scene, begin_s, end_s, speed, fps, count),
+                lambda k: on_progress((k + 1) / count),
             )
     except CalledProcessError as error:
         said = str(error.stderr).strip().splitlines() or [f"exit status {error.returncode}"]
@@ -137,7 +139,7 @@ def _grab(writer: GifWriter | FFMpegWriter, drawn: Iterator[int], on_progress: C
     writer.finish()
 
 
-def _drawn(
+def _draw_frames(
     feed: LogFeed, scene: MovieScene, begin_s: float, end_s: float, speed: float, fps: int, count: int
 ) -> Iterator[int]:
     feed.seek(begin_s)

@@ -20,10 +20,10 @@ from fleet.addons.page.live_feed import LiveFeed
 from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.page.view_state import Row
 from fleet.errors import FleetError
-from fleet.execution.directory import in_use
-from fleet.execution.fault_request import checked_fault
+from fleet.execution.directory import is_in_use
+from fleet.execution.fault_request import check_fault
 from fleet.recorder.scene.styles import PAGE
-from fleet.scenario.faults.kind import FaultKind, OfLinks, OfVehicles
+from fleet.scenario.faults.kind import FaultKind, LinkFaultKind, VehicleFaultKind
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.fault_words import read_fault
@@ -43,7 +43,7 @@ def entry(words: str, lasts: str, scenario: Scenario, tick: int) -> dict[str, An
         if "for" in found:
             raise FleetError(f"the fault says for {found['for']} already")
         found["for"] = lasts.strip()
-    checked_fault(found, tick, scenario)
+    check_fault(found, tick, scenario)
     return found
 
 
@@ -105,13 +105,13 @@ class FaultForm:
         match kind:
             case "link":
                 src, dst = int(said["src"]), int(said["dst"])
-                offered = suggestions(OfLinks, f"{src}->{dst}")
+                offered = suggestions(LinkFaultKind, f"{src}->{dst}")
                 both = (dst, src) in self._feed.scenario.graph.links
                 if both:
                     offered["cut both ways"] = f"down {src}<->{dst}"
                 title = f"Link from vehicle {src} to vehicle {dst}"
             case "vehicle":
-                offered = suggestions(OfVehicles, str(int(said["i"])))
+                offered = suggestions(VehicleFaultKind, str(int(said["i"])))
                 title = f"Vehicle {int(said['i'])}"
             case "partition":
                 groups = [[int(i) for i in group] for group in said["groups"]]
@@ -275,7 +275,9 @@ class Page:
             self.new = True
             await asyncio.sleep(LOOK_S)
         # The result is written last, and a run that broke has none.
-        while (verdicts := await run.io_bound(checks_judged, self.feed.log)) is None and in_use(self.feed.log.parent):
+        while (verdicts := await run.io_bound(checks_judged, self.feed.log)) is None and is_in_use(
+            self.feed.log.parent
+        ):
             await asyncio.sleep(LOOK_S)
         # One that was stopped has a result without verdicts; what stood last is none.
         self.feed.checks = verdicts if verdicts and verdicts["rows"] else checks_asked(self.feed.scenario)
@@ -365,14 +367,14 @@ class Viewer:
                 self._sent = self._seen = 0
                 self._told = -1
                 self.give({"history": feed.picture.history(), "checks": feed.checks,
-                           "commands": list(page.commands), "signals": feed.signals.offered()})  # fmt: skip
+                           "commands": list(page.commands), "signals": feed.signals.offers()})  # fmt: skip
                 page.new = True
                 await self._give_whole()
             case "seen":
                 self._seen = int(said["n"])
             case "charts" | "columns" as where:  # signals, of one vehicle or of all
                 names = [str(name) for name in said["names"]][:MOST_CHARTS]
-                self._follow(where, [one for name in names for one in feed.signals.meant(name)])
+                self._follow(where, [one for name in names for one in feed.signals.names_of(name)])
                 await self._give_whole()
             case "commands":  # of a vehicle that was chosen, where the run logs them; none: 0
                 self._follow("vehicle", [name for name in commands_of(int(said["i"])) if name in feed.signals.by_name])

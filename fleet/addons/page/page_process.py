@@ -44,11 +44,12 @@ class PageProcess:
         self._say({"listening": descriptor, "host": listener.host, "port": listener.port, "token": listener.token})
         listener.listening.close()  # it is the page's now
 
-    def published(self, directory: Path) -> None:
+    def on_run_published(self, directory: Path) -> None:
         """Say that the journal of the run can be read: the page is its first subscriber."""
         self._say(str(directory))
 
-    over = published  # said again, when the run is over: if it was so short that it was never seen, its log is shown
+    # It is told of the run again when that is over: if the run was too short to be seen, its log is shown.
+    on_run_ended = on_run_published
 
     def _say(self, told: str | dict[str, Any]) -> None:
         stdin = pipe(self._process.stdin)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fleet.errors import FleetError
-from fleet.execution.connection import LiveRun, RemoteError, choose, find, named, near_ones, published
-from fleet.execution.directory import OBSERVE, SCENARIO, in_use
+from fleet.execution.connection import LiveRun, RemoteError, choose, find, near_ones, published_runs, runs_named
+from fleet.execution.directory import OBSERVE, SCENARIO, is_in_use
 from fleet.execution.past_runs import newest_run
-from fleet.execution.registry import registered
+from fleet.execution.registry import registered_runs
 from fleet.mcap.reader import log_path
 from fleet.replay.observed import Observed, read_observed
 from netem.files import DamagedFile
@@ -25,7 +25,7 @@ class LiveSource:
     run: LiveRun | None  # None: there are only the observer's credentials, so it can only be watched
     awaited: bool = False  # it is about to begin, and its console will answer
 
-    def controlled(self) -> LiveRun:
+    def open_control(self) -> LiveRun:
         """The run, to be disturbed. Raises FleetError: it can only be watched."""
         if self.run is None:
             raise FleetError(
@@ -60,9 +60,9 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
     path = Path(name)
     if path.suffix == ".json" and os.path.isfile(path):
         return _live(path)
-    if os.path.exists(path / OBSERVE) and in_use(path):
+    if os.path.exists(path / OBSERVE) and is_in_use(path):
         return _live(path.resolve() / OBSERVE)
-    if os.path.exists(path / SCENARIO) and in_use(path):
+    if os.path.exists(path / SCENARIO) and is_in_use(path):
         raise _not_published(path)
     if os.path.isfile(path) or os.path.exists(log_path(path)):
         return LogSource(log_path(path))
@@ -71,7 +71,7 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
     except RemoteError as error:
         if error.status == 2:  # several
             raise
-        if living := named(name, registered()):
+        if living := runs_named(name, registered_runs()):
             raise _not_published(max(living, key=_began)) from None
         if os.path.exists(path):  # such as a folder that has a scenario's name, and no run in it
             return LogSource(log_path(path))
@@ -80,14 +80,14 @@ def find_source(name: str | None, runs: Path) -> LiveSource | LogSource:
 
 def _newest(runs: Path) -> LiveSource | LogSource:
     below = runs.absolute()
-    living = [one for one in registered() if one.is_relative_to(below)] or near_ones(registered())
+    living = [one for one in registered_runs() if one.is_relative_to(below)] or near_ones(registered_runs())
     if found := [one for one in living if os.path.exists(one / OBSERVE)]:
         return _live(max(found, key=_began) / OBSERVE)
     if living:
         raise _not_published(max(living, key=_began))
     newest = newest_run(runs)
     if newest is None:
-        if elsewhere := published(OBSERVE):  # perhaps of another trial, which the page could disturb
+        if elsewhere := published_runs(OBSERVE):  # perhaps of another trial, which the page could disturb
             raise FleetError(f"no live run is below {below}; name one that is elsewhere: {elsewhere[0]}")
         raise FleetError(
             f"no run is live, and there is none below {runs.absolute()}: start one with fleet run paper --publish, or "

@@ -65,7 +65,7 @@ class ViewState:
         self._beliefs = NewestBeliefs(scenario)
         acoustic = scenario.acoustic
         self._on_air = None if acoustic is None else OnAir(acoustic, scenario.tick_ns / 1e9)
-        self.known_faults: list[Row] = _scripted(scenario)  # over, active and to come
+        self.known_faults: list[Row] = _planned_faults(scenario)  # over, active and to come
         self._events: dict[str, Row] = {}  # what happened to vehicles, by id
         self._told: list[VehicleEvents] | None = None  # the same as the console counts it; None: it was not asked
         self.changes = 0  # of `known`
@@ -102,8 +102,6 @@ class ViewState:
         self._all_kinds: Counter[tuple[str, bool]] = Counter()  # the sum of both
         for values in (*self._signals.values(), *self._new.values()):
             values.clear()
-
-    # What comes in
 
     def transforms(self, at_s: float, message: Any) -> None:
         """Take a message of the topic `transforms`: where the vehicles are, and how they are turned."""
@@ -151,14 +149,14 @@ class ViewState:
             late_s = round(message.due - message.sent, 4)
             self._packets.append([self._numbers[link], round(message.sent, 4), late_s, fate])
 
-    def told(self, at_s: float, rows: Iterable[Mapping[str, Any]]) -> None:
+    def set_link_ages(self, at_s: float, rows: Iterable[Mapping[str, Any]]) -> None:
         """Take the time and how old the newest is that arrived on each link, as the console knows them. `rows`: src,
         dst and age_s, as `fleet status --all` has them."""
         if self._placed_s < 0.0:  # else time is that of the places
             self.at_s = max(self.at_s, at_s)
         for row in rows:
             if (history := self.links.get((row["src"], row["dst"]))) is not None:
-                history.told(at_s - row["age_s"])
+                history.mark_sent(at_s - row["age_s"])
 
     def faults(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Take the list of faults, and of states of vehicles that last. `rows`: id, what, entry, from_s, to_s and
@@ -171,7 +169,7 @@ class ViewState:
             self.known_faults, self._events = known, events
             self.changes += 1
 
-    def happened(self, rows: Iterable[Mapping[str, Any]]) -> None:
+    def set_vehicle_events(self, rows: Iterable[Mapping[str, Any]]) -> None:
         """Take what happened to vehicles so far: rows with what, times and first_s, as the console counts it."""
         told = [VehicleEvents(row["what"], row["times"], row["first_s"]) for row in rows]
         if told != self._told:
@@ -215,8 +213,6 @@ class ViewState:
             values.append((round(at_s, 3), value))
             self._new[name].append((round(at_s, 3), value))
 
-    # What goes out
-
     def setup(self) -> Row:
         """The constant part: names, links, sizes, and the scene as `fleet.recorder.scene.model` has it."""
         scenario, scene = self.scenario, self.scene
@@ -231,7 +227,7 @@ class ViewState:
             "names": [scenario.vehicle_name(i) for i in range(1, scenario.vehicles + 1)],
             "links": [list(link) for link in self._numbers],
             "both_ways": [link in scene.both_ways for link in self._numbers],
-            "hulls_m": [_rounded((SLENDER * width, width)) for width in scene.diameters],
+            "hulls_m": [_round_all((SLENDER * width, width)) for width in scene.diameters],
             "standing": plain(scene.standing),
             "moving": plain(scene.moving(0.0)),
             "legend": [row._asdict() for row in scene.legend()],
@@ -252,7 +248,7 @@ class ViewState:
         phi, theta, psi = self._turns[i]
         roll = (phi,) if self.scenario.controls[i - 1].plant is not None else ()
         speed = round(self._speeds.get(i, 0.0), 3)
-        return [i, *_rounded(self._places[i]), *_rounded((theta, psi)), speed, *_rounded(roll)]
+        return [i, *_round_all(self._places[i]), *_round_all((theta, psi)), speed, *_round_all(roll)]
 
     def _label(self, i: int, state: str) -> tuple[int, str, str]:
         depth = "" if self.scenario.vehicles > MANY else depth_text(self._places[i][2])
@@ -265,7 +261,7 @@ class ViewState:
         row: Row = {
             "t": round(t, 4),
             "uuv": [self._vehicle(i) for i in sorted(self._places)],
-            "ref": _rounded(self.scene.reference(t)),
+            "ref": _round_all(self.scene.reference(t)),
             "links": [history.state(t, self._stale_s) for history in self.links.values()],
             "since": round(self.since_s, 2),
             "ages": [_hundredths(history.age_s(t)) for history in self.links.values()],
@@ -364,13 +360,13 @@ class ViewState:
         total = sum(count[1] for count in self._counts)
         share = sum(count[0] for count in self._counts) / total if total else 0.0
         errors = _errors(self.errors())
-        places = [value for i in sorted(self._places) for value in (i, *_rounded(self._places[i]))]
+        places = [value for i in sorted(self._places) for value in (i, *_round_all(self._places[i]))]
         sample = [round(t, 3), errors, ages, round(share, 4), places]
         self._samples.append(sample)
         self._fresh.append(sample)
 
 
-def _rounded(values: Iterable[float]) -> list[float]:
+def _round_all(values: Iterable[float]) -> list[float]:
     return [round(value, 3) for value in values]
 
 
@@ -393,7 +389,7 @@ def _errors(values: Iterable[float | None]) -> list[float | None]:
     return [None if value is None else round(value, 4) for value in values]
 
 
-def _scripted(scenario: Scenario) -> list[Row]:
+def _planned_faults(scenario: Scenario) -> list[Row]:
     end_s = scenario.duration_ns / 1e9
     return [fault_row(one._replace(end=min(one.end, end_s))) for one in timeline(scenario)]
 

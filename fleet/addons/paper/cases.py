@@ -42,7 +42,7 @@ class Recording:
         return self.signals[name]
 
 
-def recorded(log: fleet.Log) -> Recording:
+def recording_of(log: fleet.Log) -> Recording:
     scenario = log.scenario
     t = max((log[f"uuv/{i}/state"].t for i in range(1, scenario.vehicles + 1)), key=len)
     made = Recording(scenario, t)
@@ -91,7 +91,7 @@ def vehicle_measures(recording: Recording) -> list[dict[str, Any]]:
                 "rho_min_mps": [-_largest(-x) for x in rho.T],
                 "rho_max_mps": [_largest(x) for x in rho.T],
                 "theta_max_deg": float(np.degrees(np.abs(theta).max())),
-                "tumbled_s": tumbled(t, theta),
+                "tumbled_s": tumble_time(t, theta),
                 "u_min_mps": float(recording["nu"][:, i, 0].min()),
                 "K_span": _span(K),
                 "K_late_mean": _mean(K[late]),
@@ -110,7 +110,7 @@ def late_s(recording: Recording) -> float:
     return period * max(1, int(recording.t[-1] / 2 / period))
 
 
-def tumbled(t: Array, theta: Array) -> float | None:
+def tumble_time(t: Array, theta: Array) -> float | None:
     """When a vehicle first stood beyond 80 deg of pitch [s]; None if it never did."""
     beyond = np.flatnonzero(np.abs(theta) > LIMIT_RAD)
     return float(t[beyond[0]]) if len(beyond) else None
@@ -261,7 +261,7 @@ def run_case(name: str, progress: Any) -> Outcome:
     scenario = CASES[name].scenario()
     with PrivateFolder("reproduce") as folder, fleet.Run(scenario, log=folder / "run.mcap") as run:
         result = run.to_end(progress)
-        recording = recorded(fleet.open_log(folder / "run.mcap"))
+        recording = recording_of(fleet.open_log(folder / "run.mcap"))
     every = max(1, round(EVERY_S * 1e9 / scenario.tick_ns))
     kept = {key: recording[key][::every].astype(np.float32) for key in _PICTURED if key in recording.signals}
     inputs = {key: recording[key][:, 0].astype(np.float32) for key in ("demand", "applied")} | {"t": recording.t}

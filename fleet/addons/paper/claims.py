@@ -75,7 +75,7 @@ def _summary(checks: Sequence[ClaimCheck]) -> str:
     return ", ".join(f"{answers.count(word)} {word}" for word in ("yes", "partly", "no") if word in answers)
 
 
-def below(
+def compare_with_others(
     o: Outcomes,
     reading: str,
     asks: str,
@@ -101,7 +101,7 @@ def below(
     return ClaimCheck(reading, asks, tuple(holds), "; ".join(texts))
 
 
-def limited(reading: str, asks: str, values: Sequence[float], limit: float, numbers: str) -> ClaimCheck:
+def check_limit(reading: str, asks: str, values: Sequence[float], limit: float, numbers: str) -> ClaimCheck:
     """Whether every one of some numbers is below a limit."""
     return ClaimCheck(reading, asks, tuple(value < limit for value in values), numbers)
 
@@ -178,7 +178,7 @@ def judge(outcomes: Outcomes) -> list[Claim]:
     return claims
 
 
-def _of(names: tuple[str, ...], sea: str) -> list[str]:
+def _case_names(names: tuple[str, ...], sea: str) -> list[str]:
     return [f"{name}-{sea}" for name in names]
 
 
@@ -210,12 +210,12 @@ def _formation(o: Outcomes) -> Claim:
 def _convergence(sea: str, where: str) -> Callable[[Outcomes], Claim]:
     def claim(o: Outcomes) -> Claim:
         checks = [
-            below(
+            compare_with_others(
                 o,
                 reading,
                 f"UUVs 2-4: {name} within {limit} before {_and(FIXED)}",
                 f"{name}{infix}-{sea}",
-                _of(FIXED, sea),
+                _case_names(FIXED, sea),
                 key,
                 vehicles=UUVS_2_4,
                 form=".2f",
@@ -244,7 +244,7 @@ def _effort(o: Outcomes) -> Claim:
         ("effort_first", f"effort of the first {FIRST_S:g} s", " s"),
     )
     checks = [
-        below(
+        compare_with_others(
             o,
             PRINTED,
             f"{channel} {what}: {mine} at most {ABOUT_HALF} of {other}",
@@ -277,10 +277,12 @@ def _jump(o: Outcomes) -> Claim:
         first = each(o[name], "rho_first_step_mps")
         later = each(o[name], "rho_step_max_mps")
         checks += [
-            below(o, PRINTED, asks, name, [theirs], "rho_first_step_mps", factor=HALF, form=".2f", unit="m/s"),
-            limited(PRINTED, f"{mine}: first step of rho below {JUMP_MPS} m/s", first, JUMP_MPS,
+            compare_with_others(
+                o, PRINTED, asks, name, [theirs], "rho_first_step_mps", factor=HALF, form=".2f", unit="m/s"
+            ),
+            check_limit(PRINTED, f"{mine}: first step of rho below {JUMP_MPS} m/s", first, JUMP_MPS,
                     f"{show(first, '.2f')} m/s"),
-            limited(PRINTED, f"{mine}: every later step below {JUMP_MPS} m/s", later, JUMP_MPS,
+            check_limit(PRINTED, f"{mine}: every later step below {JUMP_MPS} m/s", later, JUMP_MPS,
                     f"{show(later, '.2f')} m/s"),
         ]  # fmt: skip
     return Claim(
@@ -292,7 +294,7 @@ def _jump(o: Outcomes) -> Claim:
     )
 
 
-def _bounded(o: Outcomes) -> Claim:
+def _boundedness(o: Outcomes) -> Claim:
     low, high = (0.1, -1.0, -1.25), (1.5, 1.0, 1.25)  # profile paper
     checks = []
     for name in OPTIMISED:
@@ -306,7 +308,17 @@ def _bounded(o: Outcomes) -> Claim:
         checks.append(ClaimCheck(PRINTED, f"{name}: rho within its bounds", inside, speeds))
         asks = f"largest commanded speed: {name} at most {HALF} of {_and(FIXED)}"
         checks.append(
-            below(o, PRINTED, asks, f"{name}-{U}", _of(FIXED, U), "u_cmd_max_mps", factor=HALF, form=".2f", unit="m/s")
+            compare_with_others(
+                o,
+                PRINTED,
+                asks,
+                f"{name}-{U}",
+                _case_names(FIXED, U),
+                "u_cmd_max_mps",
+                factor=HALF,
+                form=".2f",
+                unit="m/s",
+            )
         )
     return Claim(
         "The velocity commands stay within a given interval, while NBC, BC and BSMC need a large velocity at first.",
@@ -327,7 +339,7 @@ def _gains(sea: str, text: str, where: str, remark: str) -> Callable[[Outcomes],
                 checks.append(ClaimCheck(PRINTED, asks, moved, f"span {show(spans, '.3f')} 1/s"))
             asks = f"K_{name} converges: moves by less than {AT_REST} 1/s late"
             numbers = f"mean {show(means, '.3f')} 1/s, span {show(late, '.3f')} 1/s"
-            checks.append(limited(PRINTED, asks, late, AT_REST, numbers))
+            checks.append(check_limit(PRINTED, asks, late, AT_REST, numbers))
         return Claim(text, where, tuple(checks), remark)
 
     return claim
@@ -335,7 +347,15 @@ def _gains(sea: str, text: str, where: str, remark: str) -> Callable[[Outcomes],
 
 def _errors(o: Outcomes) -> Claim:
     checks = [
-        below(o, reading, f"{what}: {name} below {_and(FIXED)}", f"{name}{infix}-{D}", _of(FIXED, D), key, unit="m")
+        compare_with_others(
+            o,
+            reading,
+            f"{what}: {name} below {_and(FIXED)}",
+            f"{name}{infix}-{D}",
+            _case_names(FIXED, D),
+            key,
+            unit="m",
+        )
         for reading, infix in ((PRINTED, ""), (CORRECTED, "-consistent"), (NO_K_MAX, "-no-k_max"))
         for name in OPTIMISED
         for key, what in (("e_rms_m", "RMS consensus error late"), ("e_max_late_m", "largest consensus error late"))
@@ -352,8 +372,15 @@ def _errors(o: Outcomes) -> Claim:
 def _velocity_errors(o: Outcomes) -> Claim:
     unit = "m/s, rad/s"
     checks = [
-        below(
-            o, PRINTED, f"{what}: {name} below {_and(PLAIN)}", f"{name}-{D}", _of(PLAIN, D), key, form=form, unit=unit
+        compare_with_others(
+            o,
+            PRINTED,
+            f"{what}: {name} below {_and(PLAIN)}",
+            f"{name}-{D}",
+            _case_names(PLAIN, D),
+            key,
+            form=form,
+            unit=unit,
         )
         for key, what, form in (
             ("z_rms_mps", "RMS z late", ".4f"),
@@ -362,7 +389,9 @@ def _velocity_errors(o: Outcomes) -> Claim:
         for name in NEURODYNAMIC
     ]
     checks += [
-        below(o, OTHER_GAIN, f"RMS z late: {text}", f"{mine}-{D}", [f"{other}-{D}"], "z_rms_mps", unit=unit)
+        compare_with_others(
+            o, OTHER_GAIN, f"RMS z late: {text}", f"{mine}-{D}", [f"{other}-{D}"], "z_rms_mps", unit=unit
+        )
         for mine, other, text in (
             ("NBC", "BC-K2-30", "NBC still smaller than BC with K2 = 30, the same gain at rest"),
             ("NBC", "BSMC-phi-0.1", "NBC still smaller than BSMC with a boundary layer of 0.1"),
@@ -407,7 +436,7 @@ _CLAIMS: tuple[Callable[[Outcomes], Claim], ...] = (
     _convergence(U, "first case, Figs. 3, 4"),
     _effort,
     _jump,
-    _bounded,
+    _boundedness,
     _gains(
         U,
         "The gains adjust automatically and settle (undisturbed).",

@@ -95,7 +95,7 @@ def _controllers(sea: str) -> list[Line]:
 
 def errors(o: Outcomes, sea: str, key: str, label: str, until_s: float) -> Figure:
     """|e_i| or z_i of each vehicle under the five controllers."""
-    return _by_vehicle(o, _controllers(sea), key, label, until_s) if sea == U else _periods(o, sea, key, label)
+    return _figure_by_vehicle(o, _controllers(sea), key, label, until_s) if sea == U else _periods(o, sea, key, label)
 
 
 consensus_errors = partial(errors, key="e", label="consensus error |e| [m]", until_s=START_S)
@@ -110,10 +110,10 @@ def readings(o: Outcomes, sea: str) -> Figure:
         Line(f"NBOC-consistent-{sea}", "NBOC, corrected cost", COLOURS[3], PLAIN),
         Line(f"NBC-{sea}", "NBC", COLOURS[2], PLAIN),
     ]
-    return _by_vehicle(o, shown, "e", "consensus error |e| [m]", START_S)
+    return _figure_by_vehicle(o, shown, "e", "consensus error |e| [m]", START_S)
 
 
-def _by_vehicle(o: Outcomes, shown: Sequence[Line], key: str, label: str, until_s: float) -> Figure:
+def _figure_by_vehicle(o: Outcomes, shown: Sequence[Line], key: str, label: str, until_s: float) -> Figure:
     figure, axes = panels(2, 2)
     for i, ax in enumerate(axes):
         _norms(ax, o, shown, key, i)

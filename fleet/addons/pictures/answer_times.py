@@ -15,7 +15,7 @@ from fleet.addons.pictures.axes import (
     legend_of,
 )
 from fleet.addons.pictures.look import column_in, label_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View
 from fleet.addons.pictures.style import STYLES, THIN, panels
 from fleet.logs.schemas import CLOCK
 from fleet.palette import COLOURS
@@ -26,7 +26,7 @@ from netem.clock import Clock
 GREY = "#999999"
 
 
-def punctuality(runs: Sequence[Run], view: View) -> Figure:
+def punctuality(runs: Sequence[LoggedRun], view: View) -> Figure:
     """Above, what share of each agent's answers took longer than so long; below, of deliveries."""
     (run,) = runs
     timing = _timing(run)
@@ -61,13 +61,13 @@ def punctuality(runs: Sequence[Run], view: View) -> Figure:
     return figure
 
 
-def on_wall_clock(run: Run) -> bool:
+def has_wall_clock(run: LoggedRun) -> bool:
     """Whether anything could be late in it."""
     return run.log.run.get(CLOCK) == Clock.REAL
 
 
-def _timing(run: Run) -> Timing:
-    if not on_wall_clock(run):
+def _timing(run: LoggedRun) -> Timing:
+    if not has_wall_clock(run):
         raise NothingToDraw("the run was in lockstep, where nothing can be late; see fleet run --clock real")
     try:
         timing = read_result(run.log.path.parent).timing

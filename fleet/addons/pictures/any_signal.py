@@ -15,9 +15,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from fleet.addons.pictures.axes import MOST_NAMED, Get, draw_lines, finish, over_time
+from fleet.addons.pictures.axes import MOST_NAMED, Get, draw_lines, finish, time_axes
 from fleet.addons.pictures.found_signal import FoundSignal, find_signal, plain_name, topic_of
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View, check_view
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES, draw_limits
 from fleet.addons.pictures.thresholds import age_limits, thresholds
 from fleet.errors import FleetError
@@ -32,7 +32,7 @@ _FEW_VALUES = 12  # whole numbers on an axis: then lines that would hide each ot
 _MOST_WORDS = 120  # characters of what a signal means
 
 
-def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
+def signals_of_checks(runs: Sequence[LoggedRun]) -> list[SignalName]:
     """The signals to draw if the user names none, at most MOST_UNASKED.
 
     A check names some of them, and a check in Python has read others from laws and plants. Moored vehicles add the
@@ -46,12 +46,12 @@ def signals_of_checks(runs: Sequence[Run]) -> list[SignalName]:
             run.scenario.spec.checks, (looked_at for verdict in run.verdicts for looked_at in verdict.signals)
         )
     ]
-    found += [SignalName(name) for run in runs if run.moored for name in _known(run, OF_THE_LAWS)]
+    found += [SignalName(name) for run in runs if run.moored for name in _known_signals(run, OF_THE_LAWS)]
     others = [name for name in dict.fromkeys(found) if plain_name(name).name not in ERRORS]
     return [name for name in others if any(find_signal(run, name) for run in runs)][:MOST_UNASKED]
 
 
-def pictures_of_checks(runs: Sequence[Run]) -> list[str]:
+def pictures_of_checks(runs: Sequence[LoggedRun]) -> list[str]:
     """The pictures of those errors that checks are about, and of the ages."""
     specs = [run.scenario.spec for run in runs if run.scenario is not None]
     named = {
@@ -64,13 +64,13 @@ def pictures_of_checks(runs: Sequence[Run]) -> list[str]:
     return [*errors, *(["ages"] if age_limits(runs) else [])]
 
 
-def need(runs: Sequence[Run], name: SignalName) -> None:
+def require_signal(runs: Sequence[LoggedRun], name: SignalName) -> None:
     """Raises FleetError: no log has this signal, or this vehicle."""
     if name.vehicle is not None:
         check_view(runs, View((name.vehicle,)))
     if any(find_signal(run, name) for run in runs):
         return
-    known = [other for run in runs for other in _known(run)]
+    known = [other for run in runs for other in _known_signals(run)]
     group = [other for other in known if other.startswith(f"{name.group}.")]
     hint = nearest(name.name, list(dict.fromkeys(known)))
     if not hint:
@@ -79,8 +79,8 @@ def need(runs: Sequence[Run], name: SignalName) -> None:
     raise FleetError(f"there is no signal {name.name}; {hint}")
 
 
-def picture(name: SignalName) -> Callable[[Sequence[Run], View], Figure]:
-    def make(runs: Sequence[Run], view: View) -> Figure:
+def picture(name: SignalName) -> Callable[[Sequence[LoggedRun], View], Figure]:
+    def make(runs: Sequence[LoggedRun], view: View) -> Figure:
         if name.vehicle is None:
             return draw(runs, view, name)
         return draw(runs, replace(view, vehicles=(name.vehicle,)), name._replace(vehicle=None))
@@ -93,12 +93,12 @@ def file_name(name: SignalName) -> str:
     return f"norm-{own}" if name.absolute else own
 
 
-def title(runs: Sequence[Run], name: SignalName) -> str:
+def title(runs: Sequence[LoggedRun], name: SignalName) -> str:
     found = next((one for run in runs if (one := find_signal(run, name)) is not None), None)
     return f"{name}: {found.meaning}" if found is not None and found.meaning else str(name)
 
 
-def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
+def draw(runs: Sequence[LoggedRun], view: View, name: SignalName) -> Figure:
     """A line per vehicle, whole numbers as steps; checks of the signal, and where it failed them. Raises NothingToDraw
     if no vehicle reports it.
     """
@@ -107,12 +107,12 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
         raise NothingToDraw(f"no vehicle reports {name.name}")
     components, notes = _components(runs, view, name, found)
     getters = [_getter(name, found, k) for k in components]
-    figure, axes = over_time(len(components), runs, view, 2.6 if len(components) == 1 else None)
+    figure, axes = time_axes(len(components), runs, view, 2.6 if len(components) == 1 else None)
     each = (get(run, i) for get in getters for run in runs for i in run.vehicles(view))
     samples = [series[1] for series in each if series is not None]
     whole = _whole(samples)
     shift = _shift(runs, view, samples) if whole else None
-    shown = getters if shift is None else [_moved(get, shift) for get in getters]
+    shown = getters if shift is None else [_shift_time(get, shift) for get in getters]
     log = bool(view.log_scale) and not whole
     style: dict[str, Any] = {"drawstyle": "steps-post"} if whole else {}
     notes += draw_lines(figure, list(zip(axes, shown, strict=True)), runs, view, log=log, exact=whole, **style)
@@ -132,7 +132,7 @@ def draw(runs: Sequence[Run], view: View, name: SignalName) -> Figure:
     return figure
 
 
-def _known(run: Run, groups: Sequence[str] = GROUPS) -> list[str]:
+def _known_signals(run: LoggedRun, groups: Sequence[str] = GROUPS) -> list[str]:
     return [
         f"{group}.{field}"
         for group in groups
@@ -143,7 +143,7 @@ def _known(run: Run, groups: Sequence[str] = GROUPS) -> list[str]:
 
 
 def _components(
-    runs: Sequence[Run], view: View, name: SignalName, found: FoundSignal
+    runs: Sequence[LoggedRun], view: View, name: SignalName, found: FoundSignal
 ) -> tuple[list[int | None], list[str]]:
     """Which components have an axis, and words on the others."""
     if name.absolute:
@@ -171,7 +171,7 @@ def _components(
 def _getter(name: SignalName, found: FoundSignal, k: int | None) -> Get:
     group = name.group
 
-    def get(run: Run, i: int) -> tuple[Array, Array] | None:
+    def get(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
         series = run.series(i, group, found.field)
         if series is None or series[1].dtype == object or (k is not None and series[1].shape[1] <= k):
             return None
@@ -189,7 +189,7 @@ def _whole(samples: Sequence[Array]) -> bool:
     return any(map(len, good)) and all((values == np.rint(values)).all() for values in good)
 
 
-def _shift(runs: Sequence[Run], view: View, samples: Sequence[Array]) -> dict[int, float] | None:
+def _shift(runs: Sequence[LoggedRun], view: View, samples: Sequence[Array]) -> dict[int, float] | None:
     """How far the line of each vehicle is moved, so that equal values are seen; None: not at all."""
     (run, *others) = runs
     vehicles = run.vehicles(view)
@@ -200,8 +200,8 @@ def _shift(runs: Sequence[Run], view: View, samples: Sequence[Array]) -> dict[in
     return {i: (k - (len(vehicles) - 1) / 2) * step for k, i in enumerate(vehicles)}
 
 
-def _moved(get: Get, shift: dict[int, float]) -> Get:
-    def moved(run: Run, i: int) -> tuple[Array, Array] | None:
+def _shift_time(get: Get, shift: dict[int, float]) -> Get:
+    def moved(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
         series = get(run, i)
         return None if series is None else (series[0], series[1] + shift[i])
 

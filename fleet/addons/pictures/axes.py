@@ -18,7 +18,7 @@ from matplotlib.text import Annotation
 
 from fleet.addons.pictures.caption import text_width_pt, write_caption
 from fleet.addons.pictures.look import column_in, label_pt, legend_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View, first_words
 from fleet.addons.pictures.shades import MOST_CHARACTERS, shade, words
 from fleet.addons.pictures.style import HALO, NORMAL, STYLE_NAMES, STYLES, THIN, limit, panels
 from fleet.mcap.records import Array
@@ -30,7 +30,7 @@ _ROOM = 0.06  # of the axis: what a number needs
 COLOUR = "#a4001d"
 
 
-def draw_failures(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
+def draw_failures(axes: Sequence[Axes], runs: Sequence[LoggedRun]) -> list[str]:
     """A line across all axes at each moment, numbered above the first; returns what each number stands for."""
     begin, end = axes[0].get_xlim()
     by_time: dict[float, list[str]] = {}
@@ -151,9 +151,6 @@ def band_legend(vehicles: int, named: Sequence[int]) -> list[Artist]:
     ]
 
 
-# A signal that oscillates faster than a picture can show: its envelope and its mean instead of a solid block.
-
-
 COLUMNS = 90  # of an axis, each about 2 pt wide: two lines beside each other cover it
 _TURNS = 2  # in a column: a whole oscillation
 _NEAR = 5  # columns; where most of so many have such turns, the signal oscillates and does not only jump
@@ -170,16 +167,18 @@ class Envelope(NamedTuple):
 
 def reach(lines: Iterable[Series], log: bool = False) -> float:
     """The range of all lines of an axis, in decades if it is logarithmic."""
-    each = [_seen(values[np.isfinite(values)], log) for _, values in lines]
+    each = [_visible(values[np.isfinite(values)], log) for _, values in lines]
     some = [values for values in each if len(values)]
     return float(max(values.max() for values in some) - min(values.min() for values in some)) if some else 0.0
 
 
-def enveloped(
+def split_envelope(
     t: Array, values: Array, span: tuple[float, float], whole: float, log: bool = False
 ) -> tuple[Series, Envelope | None]:
-    """The line of a signal over time [s] (ascending; NaN in gaps), which is the mean where it oscillates too fast, and
-    the envelope there, or None. `span` is the time axis [s], `whole` the `reach` of all its lines.
+    """The line of a signal over time, and the envelope where it oscillates faster than a picture can show, or None.
+
+    There the line is the mean, and the envelope stands in place of a solid block. `t` ascends [s], with NaN in gaps.
+    `span` is the time axis [s], `whole` the `reach` of all its lines.
     """
     if len(t) < _TURNS * 2:
         return (t, values), None
@@ -188,7 +187,7 @@ def enveloped(
         return (t, values), None
     edges = np.linspace(*span, COLUMNS + 1)
     place = np.clip(np.searchsorted(edges, t[good], "right") - 1, 0, COLUMNS - 1)
-    seen = _seen(values[good], log)
+    seen = _visible(values[good], log)
     low, high = np.full(COLUMNS, np.inf), np.full(COLUMNS, -np.inf)
     np.minimum.at(low, place, seen)
     np.maximum.at(high, place, seen)
@@ -217,7 +216,7 @@ def enveloped(
     return line, Envelope(np.repeat(edges, 2)[1:-1], *shape)
 
 
-def _seen(values: Array, log: bool) -> Array:
+def _visible(values: Array, log: bool) -> Array:
     return np.log10(np.maximum(np.abs(values), SMALLEST)) if log else values
 
 
@@ -227,11 +226,11 @@ FEW = 60  # samples that are shown as points too
 
 _RUN = 18  # characters of a run behind a fault
 
-Get = Callable[[Run, int], tuple[Array, Array] | None]
+Get = Callable[[LoggedRun, int], tuple[Array, Array] | None]
 
 
-def over_time(
-    rows: int, runs: Sequence[Run], view: View, height: float | None = None, ratios: Sequence[float] | None = None
+def time_axes(
+    rows: int, runs: Sequence[LoggedRun], view: View, height: float | None = None, ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
     """Axes above each other that share the time axis, at column width."""
     figure, axes = panels(rows, 1, column_in(), height or 1.3 * rows + 0.8, ratios)
@@ -239,13 +238,13 @@ def over_time(
     return figure, axes
 
 
-def time_span(runs: Sequence[Run], view: View) -> tuple[float, float]:
+def time_span(runs: Sequence[LoggedRun], view: View) -> tuple[float, float]:
     """The time that is shown [s]."""
     return view.window or (min(run.log.begin for run in runs), max(run.log.end for run in runs) or 1.0)
 
 
 def finish(
-    figure: Figure, axes: Sequence[Axes], runs: Sequence[Run], notes: Sequence[str] = (), columns: int = 1
+    figure: Figure, axes: Sequence[Axes], runs: Sequence[LoggedRun], notes: Sequence[str] = (), columns: int = 1
 ) -> None:
     """Shade the faults, name them above the first axis, label the time axis and put the words below everything.
 
@@ -271,7 +270,7 @@ def finish(
 def draw_lines(
     figure: Figure,
     panel: Sequence[tuple[Axes, Get]],
-    runs: Sequence[Run],
+    runs: Sequence[LoggedRun],
     view: View,
     log: bool = False,
     exact: bool = False,
@@ -338,14 +337,14 @@ def _draw_bands(
     return _outlier_styles(named), band_legend(len(reported), named)
 
 
-def colours_of_vehicles(runs: Sequence[Run], view: View) -> dict[int, str]:
+def colours_of_vehicles(runs: Sequence[LoggedRun], view: View) -> dict[int, str]:
     """The colour of each vehicle. Empty: there are too many lines; then those of several runs have the run's colour."""
     vehicles = sorted({i for run in runs for i in run.vehicles(view)})
     most = MOST_NAMED if len(runs) == 1 else min(MOST_NAMED, _MOST_LINES // len(runs))
     return vehicle_colours(vehicles) if len(vehicles) <= most else {}
 
 
-def entries_of_runs(runs: Sequence[Run], colours: Mapping[int, str]) -> list[Artist]:
+def entries_of_runs(runs: Sequence[LoggedRun], colours: Mapping[int, str]) -> list[Artist]:
     """Entries of a legend: each vehicle by its colour, and each run by its dashes. A word names the dashes, because a
     short sample of them shows little.
     """
@@ -362,7 +361,7 @@ def entries_of_runs(runs: Sequence[Run], colours: Mapping[int, str]) -> list[Art
 def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, style: dict[str, Any]) -> bool:
     """Draw the line of a vehicle, or its envelope if it oscillates too fast. Returns whether it is the envelope."""
     first, last = ax.get_xlim()
-    (t, values), around = enveloped(*series, (first, last), whole, log)
+    (t, values), around = split_envelope(*series, (first, last), whole, log)
     if around is not None:
         ax.fill_between(
             around.t,
@@ -378,12 +377,12 @@ def _draw_line(ax: Axes, gid: str, series: Series, whole: float, log: bool, styl
     return around is not None
 
 
-def _series(run: Run, view: View, get: Get) -> dict[int, Series]:
+def _series(run: LoggedRun, view: View, get: Get) -> dict[int, Series]:
     found = {i: get(run, i) for i in run.vehicles(view)}
-    return {i: within(*one, view.window) for i, one in found.items() if one is not None}
+    return {i: clip_to_window(*one, view.window) for i, one in found.items() if one is not None}
 
 
-def within(t: Array, values: Array, window: tuple[float, float] | None) -> Series:
+def clip_to_window(t: Array, values: Array, window: tuple[float, float] | None) -> Series:
     """The samples in a window, and one before and one behind it, so that a line reaches the edges."""
     if window is None:
         return t, values
@@ -444,7 +443,7 @@ def _with_runs(fault: FaultInterval, labels: Sequence[str]) -> FaultInterval:
     return fault._replace(id="f0", what=f"{what}{of}")
 
 
-def _shade(axes: Sequence[Axes], runs: Sequence[Run]) -> list[str]:
+def _shade(axes: Sequence[Axes], runs: Sequence[LoggedRun]) -> list[str]:
     whose: dict[FaultInterval, list[str]] = {}
     for run in runs:
         for fault in (*run.log.faults, *run.log.events):

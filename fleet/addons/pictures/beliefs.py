@@ -48,8 +48,8 @@ def beliefs(log: Log, i: int) -> Beliefs | None:
     if located is None:
         return Beliefs(t, off, known["covariance"][:, (0, 1, 4)], formation, known.step_ns / 1e9)
     at = located.t
-    true = _between(at, t, formation - off)  # formation error
-    off = np.column_stack([located["off"], _between(at, t, off[:, 2:])])
+    true = _interpolate(at, t, formation - off)  # formation error
+    off = np.column_stack([located["off"], _interpolate(at, t, off[:, 2:])])
     return Beliefs(at, off, located["covariance"], true + off, located.step_ns / 1e9)
 
 
@@ -65,7 +65,7 @@ def _topic(log: Log, i: int, group: str, widths: dict[str, int]) -> Topic | None
     return found if all(signal in found and found[signal].shape == of for signal, of in shapes.items()) else None
 
 
-def _between(at: Array, t: Array, values: Array) -> Array:
+def _interpolate(at: Array, t: Array, values: Array) -> Array:
     """The columns of values at other times: topics may be logged at different rates."""
     if np.array_equal(at, t):
         return values

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 
-from fleet.addons.pictures.look import legend_pt, wanted
+from fleet.addons.pictures.look import current_look, legend_pt
 
 _EDGE_PT = 4.0
 _DPI = 300.0  # fewer would round the widths of letters
@@ -22,7 +22,7 @@ def write_caption(figure: Figure, lines: Sequence[str]) -> None:
     them in any case.
     """
     figure.set_label("\n".join(lines))
-    if not lines or not wanted().caption:
+    if not lines or not current_look().caption:
         return
     width, height = figure.get_size_inches()
     room = 72.0 * width - 2.0 * _EDGE_PT

@@ -16,10 +16,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from fleet.addons.pictures.axes import finish, marks_legend, over_time
+from fleet.addons.pictures.axes import finish, marks_legend, time_axes
 from fleet.addons.pictures.exchange import FATES, links_between, name_rows, rank
 from fleet.addons.pictures.look import label_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View
 from fleet.logs.open_log import open_log
 from fleet.logs.topic_names import link_topic
 from fleet.logs.transmissions import AT_START, UNSENT, begin_of, end_of, name_of
@@ -37,7 +37,7 @@ _MOST_MODEMS = 24
 _NAMED = 0.02  # of the time axis: a reception that is longer has its sender's number
 
 
-class Transmission(NamedTuple):
+class DrawnTransmission(NamedTuple):
     """A packet on the air."""
 
     src: int
@@ -47,12 +47,12 @@ class Transmission(NamedTuple):
     heard: tuple[tuple[int, float, str], ...]
 
 
-def is_acoustic(run: Run) -> bool:
+def is_acoustic(run: LoggedRun) -> bool:
     """Whether a run has an acoustic channel."""
     return run.scenario is not None and run.scenario.acoustic is not None
 
 
-def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
+def transmissions(run: LoggedRun, links: Iterable[Link]) -> list[DrawnTransmission]:
     """What was on the air for these links, in the order of the beginnings.
 
     Of a modem with `tries` the last try is known. Its answers, and ranges that the channel measures, are in no log.
@@ -83,11 +83,11 @@ def transmissions(run: Run, links: Iterable[Link]) -> list[Transmission]:
             reach = acoustic.modem_of(src).interference_range / acoustic.sound_speed
             heard = [(dst, begin + away[dst], fate) for dst, fate in fates.items()]
             heard += [(dst, begin + s, OVERHEARD) for dst, s in away.items() if dst not in fates and s <= reach]
-            found.append(Transmission(src, begin, airtime, tuple(heard)))
+            found.append(DrawnTransmission(src, begin, airtime, tuple(heard)))
     return sorted(found, key=lambda one: (one.begin, one.src))
 
 
-def _rows(run: Run, link: Link) -> Iterable[tuple[int, float, float, float, str, int]]:
+def _rows(run: LoggedRun, link: Link) -> Iterable[tuple[int, float, float, float, str, int]]:
     """(number, sent [s], due [s], delay [s], fate, bytes) of each packet of a link, without copies."""
     packets = run.log[link_topic(link)]
     if not len(packets):
@@ -103,14 +103,14 @@ def _rows(run: Run, link: Link) -> Iterable[tuple[int, float, float, float, str,
     return zip(*(column[first].tolist() for column in (*columns, sizes)), strict=True)
 
 
-def _modems(run: Run) -> list[int]:
+def _modems(run: LoggedRun) -> list[int]:
     return sorted({*run.log.vehicles, *(i for link in run.log.links for i in link)})
 
 
 class _Flights:
     """How long sound takes between vehicles."""
 
-    def __init__(self, run: Run, acoustic: AcousticConfig) -> None:
+    def __init__(self, run: LoggedRun, acoustic: AcousticConfig) -> None:
         self._speed = acoustic.sound_speed
         self._ways: dict[int, tuple[Array, Array]] = {}
         # Of nodes the log has poses alone, which other pictures do not need.
@@ -143,7 +143,7 @@ def lanes(spans: Sequence[tuple[float, float]]) -> list[int]:
     return found
 
 
-def timeline(runs: Sequence[Run], view: View) -> Figure:
+def timeline(runs: Sequence[LoggedRun], view: View) -> Figure:
     """A row per modem: above what it transmits, below what reaches it, each coloured by its fate."""
     (run,) = runs
     on_air = transmissions(run, links_between(run, view))
@@ -157,7 +157,7 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
         raise NothingToDraw(f"no modem has transmitted from {first:g} to {last:g} s")
     every = sorted(view.vehicles or _modems(run))
     modems = every[:_MOST_MODEMS]
-    figure, (ax,) = over_time(1, runs, view, float(np.clip(0.3 * len(modems), 1.0, 6.5)) + 1.2)
+    figure, (ax,) = time_axes(1, runs, view, float(np.clip(0.3 * len(modems), 1.0, 6.5)) + 1.2)
     bars = [bar for row, i in enumerate(modems) for bar in _row(row, i, shown)]
     handles = []
     for kind in sorted({bar.kind for bar in bars}, key=lambda kind: (kind != SENDS, kind == OVERHEARD, rank(kind))):
@@ -194,7 +194,7 @@ class _Bar(NamedTuple):
         return [(self.begin, top), (self.end, top), (self.end, bottom), (self.begin, bottom)]
 
 
-def _row(row: int, i: int, shown: Sequence[Transmission]) -> Iterator[_Bar]:
+def _row(row: int, i: int, shown: Sequence[DrawnTransmission]) -> Iterator[_Bar]:
     """The bars of one modem: transmissions above the middle of its row, receptions below."""
     for one in shown:
         if one.src == i:
@@ -221,11 +221,11 @@ def _name_senders(ax: Axes, bars: Sequence[_Bar], window: tuple[float, float]) -
     return named
 
 
-def _last(one: Transmission) -> float:
+def _last(one: DrawnTransmission) -> float:
     return max([one.begin, *(at for _, at, _ in one.heard)]) + one.airtime
 
 
-def _moment(on_air: Sequence[Transmission], end: float) -> tuple[float, float]:
+def _moment(on_air: Sequence[DrawnTransmission], end: float) -> tuple[float, float]:
     """A window of some transmissions: around the first collision, or from the first transmission on. Of a run in which
     few talk it leaves out what is empty before the first and after the last."""
     begins = np.array([one.begin for one in on_air])

@@ -12,9 +12,9 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fleet.addons.pictures.axes import finish, legend_of, marks_legend, over_time
+from fleet.addons.pictures.axes import finish, legend_of, marks_legend, time_axes
 from fleet.addons.pictures.look import label_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View
 from fleet.addons.pictures.style import THIN, plain_decades
 from fleet.addons.pictures.thresholds import age_limits, draw_thresholds
 from fleet.logs.topic_names import link_topic
@@ -55,7 +55,7 @@ _MOST_LINKS = 100  # with a row among the ages; of more, the oldest have one
 _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
 
-def links_between(run: Run, view: View) -> list[Link]:
+def links_between(run: LoggedRun, view: View) -> list[Link]:
     """The directed links between the vehicles to show. Raises NothingToDraw if there are none, or the log is not one of
     ours.
     """
@@ -66,7 +66,7 @@ def links_between(run: Run, view: View) -> list[Link]:
     return found
 
 
-def fates_of(run: Run, link: Link) -> tuple[Array, Array, Array, Array]:
+def fates_of(run: LoggedRun, link: Link) -> tuple[Array, Array, Array, Array]:
     """(sent [s], due [s], fate, sequence) of every packet of a link; a corrupted one's fate is `corrupted`."""
     packets = run.log[link_topic(link)]
     if not len(packets):
@@ -87,7 +87,7 @@ def name_rows(ax: Axes, names: Sequence[str], size: float) -> None:
     ax.tick_params(axis="y", length=0, labelsize=size)
 
 
-def spacetime(runs: Sequence[Run], view: View) -> Figure:
+def spacetime(runs: Sequence[LoggedRun], view: View) -> Figure:
     """Vehicles over time, a line from each sending to the arrival; a lost message ends on its way with its mark."""
     (run,) = runs
     links = links_between(run, view)
@@ -95,10 +95,10 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
     view = view if view.window else View(view.vehicles, view.log_scale, _moment(run, packets))
     assert view.window is not None
     first, last = view.window
-    shown_ones, every = _about_the_worst(packets, view.window), len({i for link in links for i in link})
+    shown_ones, every = _vehicles_at_worst_link(packets, view.window), len({i for link in links for i in link})
     packets = {link: found for link, found in packets.items() if shown_ones.issuperset(link)}
     vehicles = sorted(shown_ones)
-    figure, (ax,) = over_time(1, runs, view, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
+    figure, (ax,) = time_axes(1, runs, view, float(np.clip(0.42 * len(vehicles), 1.2, 6.0)) + 1.2)
     place = {i: k for k, i in enumerate(vehicles)}
     for i in vehicles:
         _life(ax, run, i, place[i])
@@ -141,7 +141,9 @@ def spacetime(runs: Sequence[Run], view: View) -> Figure:
     return figure
 
 
-def _about_the_worst(packets: dict[Link, tuple[Array, Array, Array, Array]], window: tuple[float, float]) -> set[int]:
+def _vehicles_at_worst_link(
+    packets: dict[Link, tuple[Array, Array, Array, Array]], window: tuple[float, float]
+) -> set[int]:
     """The vehicles of these links; of too many those nearest to the link that lost most of its packets in a window."""
     hears: dict[int, set[int]] = {}
     lost: dict[Link, int] = {}
@@ -164,7 +166,7 @@ def _about_the_worst(packets: dict[Link, tuple[Array, Array, Array, Array]], win
     return set(list(found)[:_MOST_VEHICLES])
 
 
-def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
+def _moment(run: LoggedRun, packets: dict[Link, tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
     """A window of some rounds: around the first fault, or the first loss, or in the middle."""
     sent = np.unique(np.concatenate([sent for sent, _, _, _ in packets.values()]))
     due = np.concatenate([due - sent for sent, due, _, _ in packets.values()])
@@ -179,7 +181,7 @@ def _moment(run: Run, packets: dict[Link, tuple[Array, Array, Array, Array]]) ->
     return begin, min(begin + width, run.log.end)
 
 
-def _life(ax: Axes, run: Run, i: int, row: int) -> None:
+def _life(ax: Axes, run: LoggedRun, i: int, row: int) -> None:
     absent = [
         (fault.begin, fault.end)
         for fault in run.log.faults
@@ -193,7 +195,7 @@ def _life(ax: Axes, run: Run, i: int, row: int) -> None:
     ax.plot([at, run.log.end], [row, row], color="0.55", linewidth=THIN, zorder=1)
 
 
-def peak_ages(run: Run, link: Link, edges: Array) -> Array:
+def peak_ages(run: LoggedRun, link: Link, edges: Array) -> Array:
     """The largest age [s] of information on a link in each interval between two edges [s]: see `netem.ages`.
 
     Only ticks that were started count; NaN where there is none, and in a run that went on from another until something
@@ -219,7 +221,7 @@ def peak_ages(run: Run, link: Link, edges: Array) -> Array:
     return found * run.tick_s
 
 
-def mean_ages(run: Run, link: Link, edges: Array) -> Array:
+def mean_ages(run: LoggedRun, link: Link, edges: Array) -> Array:
     """The mean of the same over the ticks of each interval [s]."""
     arrived, heard = _arrivals(run, link)
     begins, _ = _first_ticks(run, edges)
@@ -240,7 +242,7 @@ def mean_ages(run: Run, link: Link, edges: Array) -> Array:
     return found
 
 
-def _arrivals(run: Run, link: Link) -> tuple[Array, Array]:
+def _arrivals(run: LoggedRun, link: Link) -> tuple[Array, Array]:
     """The ticks at which something arrived on a link, in order, and the newest tick that was heard of then."""
     sent, due, fate, _ = fates_of(run, link)
     good = fate == Cause.DELIVERED
@@ -250,7 +252,7 @@ def _arrivals(run: Run, link: Link) -> tuple[Array, Array]:
     return arrived[order], heard
 
 
-def _first_ticks(run: Run, edges: Array) -> tuple[Array, int]:
+def _first_ticks(run: LoggedRun, edges: Array) -> tuple[Array, int]:
     """The first tick from each edge [s] on, and the number of ticks that were started."""
     ticks = int(run.log.run.get("ticks", 0))
     count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
@@ -260,12 +262,12 @@ def _first_ticks(run: Run, edges: Array) -> tuple[Array, int]:
     return first, count
 
 
-def ages(runs: Sequence[Run], view: View) -> Figure:
+def ages(runs: Sequence[LoggedRun], view: View) -> Figure:
     """The oldest and the median link over time, and a row per link coloured by its age. Of each short interval the
     picture has the largest age, and of the median link the mean."""
     tables = [(run, links_between(run, view)) for run in runs]
     heights = [1.3, *(float(np.clip(_ROW_IN * len(links), 0.5, 4.0)) for _, links in tables)]
-    figure, axes = over_time(1 + len(runs), runs, view, sum(heights) + 1.2 + 0.2 * len(runs), heights)
+    figure, axes = time_axes(1 + len(runs), runs, view, sum(heights) + 1.2 + 0.2 * len(runs), heights)
     first, last = axes[0].get_xlim()
     edges = np.linspace(first, last, _bins(tables, last - first) + 1)
     peaks = [np.array([peak_ages(run, link, edges) for link in links]) for run, links in tables]
@@ -320,7 +322,7 @@ def ages(runs: Sequence[Run], view: View) -> Figure:
     return figure
 
 
-def _bins(tables: Sequence[tuple[Run, Sequence[Link]]], span: float) -> int:
+def _bins(tables: Sequence[tuple[LoggedRun, Sequence[Link]]], span: float) -> int:
     """How many intervals: each holds a tick, and a whole tooth of the usual length, or each tooth many of them."""
     most = max(1, int(span / max(run.tick_s for run, _ in tables) + 1e-6))
     gaps = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from fleet.addons.pictures.runs import Run
+from fleet.addons.pictures.runs import LoggedRun
 from fleet.logs.topic import Topic
 from fleet.scenario.sections.signals import BELIEF, ERROR, GROUPS, LOCATED, SignalName
 
@@ -34,7 +34,7 @@ class FoundSignal(NamedTuple):
         return units[k] if k is not None and len(units) == self.width else self.unit
 
 
-def find_signal(run: Run, name: SignalName) -> FoundSignal | None:
+def find_signal(run: LoggedRun, name: SignalName) -> FoundSignal | None:
     """The signal in the topic of the first vehicle that has it; of a component, the vector that it is one of."""
     group, _, field = name.name.partition(".")
     if group not in GROUPS:
@@ -55,7 +55,7 @@ def find_signal(run: Run, name: SignalName) -> FoundSignal | None:
     return None
 
 
-def topic_of(run: Run, i: int, group: str) -> Topic | None:
+def topic_of(run: LoggedRun, i: int, group: str) -> Topic | None:
     """The topic of a group of vehicle i; None: it has no message."""
     topic = f"uuv/{i}/{group}"
     return run.log[topic] if topic in run.log and len(run.log[topic]) else None

@@ -10,11 +10,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from fleet.addons.pictures import any_signal, channel, exchange, track
-from fleet.addons.pictures.answer_times import on_wall_clock, punctuality
-from fleet.addons.pictures.labels import named
+from fleet.addons.pictures.answer_times import has_wall_clock, punctuality
+from fleet.addons.pictures.labels import given_labels
 from fleet.addons.pictures.look import looking, parse_look
 from fleet.addons.pictures.packet_shares import timeline
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, check_view, load, origin
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View, check_view, load, origin
 from fleet.addons.pictures.style import (
     Drawn,
     figures,
@@ -22,7 +22,7 @@ from fleet.addons.pictures.style import (
     words_of,
 )
 from fleet.addons.pictures.time_series import consensus, formation, inputs
-from fleet.addons.pictures.verbs.choice import PictureChoice, drawn_alike
+from fleet.addons.pictures.verbs.choice import PictureChoice, find_common_drawer
 from fleet.errors import FleetError
 from fleet.logs.open_log import Log
 from fleet.logs.topic import TooLargeError
@@ -30,7 +30,7 @@ from fleet.mcap.reader import OnProgress
 from fleet.notebook import Pictures
 from fleet.scenario.sections.signals import parse_name
 
-Draw = Callable[[Sequence[Run], View], Figure]
+Draw = Callable[[Sequence[LoggedRun], View], Figure]
 _Picture = tuple[str, str, Draw]
 # What one can ask for -> the pictures that answer: (name of the file, what it shows, how). By the name of its file one
 # can ask for a single picture, too.
@@ -52,8 +52,8 @@ WHAT: dict[str, tuple[_Picture, ...]] = {
     "timing": (("timing", "On a wall clock: how late agents answered, what delays became", punctuality),),
 }
 # Those that are left out where everything is asked for, if they hold for none of the runs.
-_ONLY_IF: dict[str, Callable[[Run], bool]] = {
-    "timing": lambda run: on_wall_clock(run) and not run.of_nodes,
+_ONLY_IF: dict[str, Callable[[LoggedRun], bool]] = {
+    "timing": lambda run: has_wall_clock(run) and not run.of_nodes,
     "channel": channel.is_acoustic,
     **dict.fromkeys(("track", "error", "inputs"), lambda run: not (run.of_nodes or run.moored)),
 }
@@ -61,16 +61,16 @@ _ONLY_IF: dict[str, Callable[[Run], bool]] = {
 PER_RUN = frozenset({"links", "messages", "channel", "timing"})
 
 
-def check_signals(what: Sequence[str], runs: Sequence[Run]) -> None:
+def check_signals(what: Sequence[str], runs: Sequence[LoggedRun]) -> None:
     """Raises FleetError: a signal among what is asked for is in none of the logs."""
     single = {picture[0] for pictures in WHAT.values() for picture in pictures}
     for word in what:
         if word not in WHAT and word not in single and (name := parse_name(word)) is not None:
-            any_signal.need(runs, name)
+            any_signal.require_signal(runs, name)
 
 
 def draw(
-    what: Sequence[str], runs: Sequence[Run], view: View, share: OnProgress = lambda _: None
+    what: Sequence[str], runs: Sequence[LoggedRun], view: View, share: OnProgress = lambda _: None
 ) -> Iterator[tuple[str, str, Figure | str]]:
     """(file name, what it shows, the figure or why there is none) of everything that is asked for. `share`: called
     before each with the share that is done.
@@ -80,8 +80,8 @@ def draw(
 
 
 def _each(
-    what: Sequence[str], runs: Sequence[Run], view: View, share: OnProgress
-) -> Iterator[tuple[str, str, Sequence[Run], Figure | str]]:
+    what: Sequence[str], runs: Sequence[LoggedRun], view: View, share: OnProgress
+) -> Iterator[tuple[str, str, Sequence[LoggedRun], Figure | str]]:
     asked_for_all = {*what, *PER_RUN} >= set(WHAT)  # a report of several runs has those of one run elsewhere
     begun: set[str] = set()
     single = {picture[0]: (picture,) for pictures in WHAT.values() for picture in pictures}
@@ -106,7 +106,7 @@ def _each(
                     yield called, shown, some, str(reason)
 
 
-def _pictures(kind: str, runs: Sequence[Run], single: Mapping[str, tuple[_Picture, ...]]) -> Sequence[_Picture]:
+def _pictures(kind: str, runs: Sequence[LoggedRun], single: Mapping[str, tuple[_Picture, ...]]) -> Sequence[_Picture]:
     if kind in WHAT or kind in single:
         named = any_signal.signals_of_checks(runs) if kind == "checks" else []
         found = WHAT.get(kind, ()) or single.get(kind, ())
@@ -121,7 +121,7 @@ def _pictures(kind: str, runs: Sequence[Run], single: Mapping[str, tuple[_Pictur
 
 def write(
     what: Sequence[str],
-    runs: Sequence[Run],
+    runs: Sequence[LoggedRun],
     view: View,
     folder: Path,
     formats: Sequence[str],
@@ -134,7 +134,7 @@ def write(
     return save_all(_with_origins(_each(what, runs, view, share)), folder, formats, tell)
 
 
-def _with_origins(drawn: Iterable[tuple[str, str, Sequence[Run], Figure | str]]) -> Iterator[Drawn]:
+def _with_origins(drawn: Iterable[tuple[str, str, Sequence[LoggedRun], Figure | str]]) -> Iterator[Drawn]:
     for name, title, of, figure in drawn:
         yield name, figure, partial(origin, of, title)
 
@@ -187,10 +187,10 @@ def plot(
     paths = [log.path if isinstance(log, Log) else Path(log), *map(Path, others)]
     words, formats, folder = words_of(what), words_of(format), None if out is None else Path(out)
     log_scale = None if linear is None else not linear
-    if (other := drawn_alike(paths)) is not None:
+    if (other := find_common_drawer(paths)) is not None:
         shown = PictureChoice(measures=tuple(words), log_scale=log_scale, window=window)
         with looking(look):
-            return Pictures(other.figures(paths, folder, shown, formats, named(paths, labels), words))
+            return Pictures(other.figures(paths, folder, shown, formats, given_labels(paths, labels), words))
     single = [name for pictures in WHAT.values() for name, *_ in pictures]
     if strange := [word for word in words if word not in (*WHAT, *single) and parse_name(word) is None]:
         raise FleetError(f"there is no picture {strange[0]!r}; expected some of {', '.join(WHAT)}, or a signal")

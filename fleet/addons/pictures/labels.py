@@ -52,7 +52,7 @@ def distinct(labels: Sequence[str]) -> list[str]:
     return found
 
 
-def named(paths: Sequence[Path], given: Mapping[str, str] | Sequence[str]) -> list[str | None]:
+def given_labels(paths: Sequence[Path], given: Mapping[str, str] | Sequence[str]) -> list[str | None]:
     """The name that a user gives each of some runs or studies; None: none.
 
     Args:
@@ -69,7 +69,7 @@ def named(paths: Sequence[Path], given: Mapping[str, str] | Sequence[str]) -> li
     found: list[str | None] = [None for _ in paths]
     for key, label in given.items():
         places = [k for k, path in enumerate(paths) if Path(key) == path]
-        places = places or [k for k, path in enumerate(paths) if key in _called(path)]
+        places = places or [k for k, path in enumerate(paths) if key in _possible_names(path)]
         if len(places) > 1 and len(set(paths)) == len(paths):
             raise FleetError(f"label: {printable(key)!r} is {len(places)} of what is drawn; write the path as with LOG")
         if not places:
@@ -81,7 +81,7 @@ def named(paths: Sequence[Path], given: Mapping[str, str] | Sequence[str]) -> li
     return found
 
 
-def _called(path: Path) -> tuple[str, ...]:
+def _possible_names(path: Path) -> tuple[str, ...]:
     """What a run or a study may be called: by its directory, also where its log is named."""
     folder = path.parent if path.name == "run.mcap" else path
     return path.name, folder.name, folder.resolve().name

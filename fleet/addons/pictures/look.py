@@ -40,34 +40,34 @@ _AS_EVER = Look()
 _wanted: ContextVar[Look] = ContextVar("look", default=_AS_EVER)
 
 
-def wanted() -> Look:
+def current_look() -> Look:
     """The look that is wanted now."""
     return _wanted.get()
 
 
 def text_pt() -> float:
     """The size of most texts."""
-    return wanted().size_pt
+    return current_look().size_pt
 
 
 def legend_pt() -> float:
     """The size of legends, numbers and captions."""
-    return LEGEND_PT / TEXT_PT * wanted().size_pt
+    return LEGEND_PT / TEXT_PT * current_look().size_pt
 
 
 def label_pt() -> float:
     """The size of names within a picture."""
-    return LABEL_PT / TEXT_PT * wanted().size_pt
+    return LABEL_PT / TEXT_PT * current_look().size_pt
 
 
 def column_in() -> float:
     """The width of a column [inches]."""
-    return wanted().width_in
+    return current_look().width_in
 
 
 def page_in() -> float:
     """The width of a page [inches]."""
-    return PAGE_IN / COLUMN_IN * wanted().width_in
+    return PAGE_IN / COLUMN_IN * current_look().width_in
 
 
 @contextmanager

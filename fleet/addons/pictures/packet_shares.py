@@ -15,11 +15,11 @@ from matplotlib.patches import Patch
 from fleet.addons.pictures.axes import (
     finish,
     marks_legend,
-    over_time,
+    time_axes,
 )
 from fleet.addons.pictures.exchange import FATES, fates_of, links_between, name_rows, rank
 from fleet.addons.pictures.look import label_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View
 from fleet.logs.payload_kinds import DAMAGED, count_kinds
 from fleet.logs.topic_names import link_topic
 from fleet.mcap.records import Array
@@ -38,7 +38,7 @@ _MOST_KINDS = 6
 
 
 @dataclass(slots=True)
-class Row:
+class ShareRow:
     """A strip of the picture: one link, or several together."""
 
     name: str
@@ -55,20 +55,20 @@ class Row:
         return float(good / self.total) if self.total else 1.0
 
 
-def timeline(runs: Sequence[Run], view: View) -> Figure:
+def timeline(runs: Sequence[LoggedRun], view: View) -> Figure:
     """A strip per link: the shares of its packets' fates by sending time, exact where a fault begins or ends."""
     (run,) = runs
     links = links_between(run, view)
     first, last = view.window or (0.0, run.log.end or 1.0)
-    found = {link: _named(run, link, first, last) for link in links}
+    found = {link: _fates_between(run, link, first, last) for link in links}
     sent = [times for times, _ in found.values() if len(times)]
     if not sent:
         raise NothingToDraw("no packet was sent in that time")
     faults = [edge for fault in run.log.faults for edge in (fault.begin, fault.end)]
     edges = time_bins(first, last, faults, _period(sent))
-    rows = fold([Row(run.link_label(link), _count(*found[link], edges)) for link in links])
+    rows = fold([ShareRow(run.link_label(link), _count(*found[link], edges)) for link in links])
     height = float(np.clip(_ROW_IN * len(rows), min(0.3 * len(rows), 1.6), 7.0))
-    figure, (ax,) = over_time(1, runs, view, height + 1.2)
+    figure, (ax,) = time_axes(1, runs, view, height + 1.2)
     counts: Counter[str] = Counter()
     for row in rows:
         counts.update({fate: int(bins.sum()) for fate, bins in row.bins.items()})
@@ -98,7 +98,7 @@ def timeline(runs: Sequence[Run], view: View) -> Figure:
     return figure
 
 
-def kinds_line(run: Run, links: Sequence[Link]) -> list[str]:
+def kinds_line(run: LoggedRun, links: Sequence[Link]) -> list[str]:
     """Words on how many packets carried which kind of payload, and how many of these arrived; none if all are alike."""
     kinds = count_kinds(run.log[link_topic(link)] for link in links) or []
     if len([one for one in kinds if one.kind != DAMAGED]) < 2:
@@ -108,7 +108,7 @@ def kinds_line(run: Run, links: Sequence[Link]) -> list[str]:
     return ["kinds: " + ", ".join(each + more)]
 
 
-def fold(rows: list[Row]) -> list[Row]:
+def fold(rows: list[ShareRow]) -> list[ShareRow]:
     """The rows as they are, or of too many the worst by what arrived, worst first, and one for all others."""
     if len(rows) <= MOST_ROWS:
         return rows
@@ -120,7 +120,7 @@ def fold(rows: list[Row]) -> list[Row]:
     for row in others:
         for fate, counts in row.bins.items():
             together[fate] = together.get(fate, 0) + counts
-    return [*worst, Row(f"{len(others)} others" if worst else f"all {len(others)}", together)]
+    return [*worst, ShareRow(f"{len(others)} others" if worst else f"all {len(others)}", together)]
 
 
 def time_bins(first: float, last: float, faults: Sequence[float], period: float) -> Array:
@@ -132,7 +132,7 @@ def time_bins(first: float, last: float, faults: Sequence[float], period: float)
     return np.append(np.concatenate(parts), last)
 
 
-def strips(rows: Sequence[Row], fates: Sequence[str], edges: Array) -> dict[str, list[Array]]:
+def strips(rows: Sequence[ShareRow], fates: Sequence[str], edges: Array) -> dict[str, list[Array]]:
     """Fate -> a polygon (points, 2) per row: [s] and place; the shares of a bin upon one another."""
     x = np.repeat(edges, 2)[1:-1]
     found: dict[str, list[Array]] = {}
@@ -149,7 +149,7 @@ def strips(rows: Sequence[Row], fates: Sequence[str], edges: Array) -> dict[str,
     return found
 
 
-def _named(run: Run, link: Link, first: float, last: float) -> tuple[Array, Array]:
+def _fates_between(run: LoggedRun, link: Link, first: float, last: float) -> tuple[Array, Array]:
     """(sent [s], fate) of the packets of a link that were sent in a time; what was overtaken is late."""
     sent, due, fate, _ = fates_of(run, link)
     good = np.flatnonzero(fate == Cause.DELIVERED)

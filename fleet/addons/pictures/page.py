@@ -26,7 +26,7 @@ class Heading(NamedTuple):
     anchor: str = ""
 
 
-class Text(NamedTuple):
+class Paragraph(NamedTuple):
     """A paragraph, in which a command stands between backticks; `kind` is `warn`, `verdict` or neither."""
 
     text: str
@@ -54,7 +54,7 @@ class Table(NamedTuple):
     kind: str = ""  # `words`, `numbers`, `last` (which is words) or nothing
 
 
-class Listing(NamedTuple):
+class FoldedText(NamedTuple):
     """Text as it is, folded away if it has a title."""
 
     text: str
@@ -76,7 +76,7 @@ class SectionImages(NamedTuple):
     missing: list[str]
 
 
-Block = Heading | Text | Contents | Mark | Table | PageImage | SectionImages | Listing
+Block = Heading | Paragraph | Contents | Mark | Table | PageImage | SectionImages | FoldedText
 
 
 def from_here(path: Path) -> Path:

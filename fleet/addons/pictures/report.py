@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 from msgspec import convert, structs
 
-from agents.controllers import CONTROLLERS, laws
 from fleet.addons.pictures.any_signal import file_name
 from fleet.addons.pictures.beliefs import beliefs
 from fleet.addons.pictures.found_signal import plain_name
@@ -19,31 +18,28 @@ from fleet.addons.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.addons.pictures.page import (
     Block,
     Contents,
+    FoldedText,
     Heading,
-    Listing,
     Mark,
     PageImage,
+    Paragraph,
     SectionImages,
     Table,
-    Text,
     from_here,
     images,
     render,
     write_page,
 )
-from fleet.addons.pictures.runs import Run, View, first_words
+from fleet.addons.pictures.runs import LoggedRun, View
+from fleet.addons.pictures.scenario_facts import conditions_note, conditions_table, network_facts, scenario_facts
 from fleet.addons.pictures.signal_limits import ERRORS, PICTURES
 from fleet.logs.payload_kinds import KindCount, count_kinds
-from fleet.logs.run_name import begun_at, run_name
+from fleet.logs.run_name import begin_time, run_name
 from fleet.logs.topic_names import link_topic
 from fleet.mcap.reader import OnProgress
-from fleet.quantities import vehicle_numbers
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import LinkAge, Result
-from fleet.result.verdict import Verdict, failed_first
-from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.network import show_network
-from fleet.scenario.sections.per_vehicle import Control
+from fleet.result.verdict import Verdict, sort_failed_first
 from fleet.scenario.sections.signals import parse_name
 from fleet.scenario.sections.vehicle_events import vehicle_events
 from netem.ages import Ages
@@ -59,14 +55,14 @@ _OF_CHECKS = {
 _ELSE = ("formation", "error", "track", "links")  # what is looked at first where no check says more
 
 
-def telling(run: Run) -> list[str]:
+def telling(run: LoggedRun) -> list[str]:
     """Names of pictures, the most telling first: what failed checks look at, then what others do, then errors."""
     failed = [verdict for verdict in run.verdicts if not verdict.passed]
     passed = [verdict for verdict in run.verdicts if verdict.passed and verdict.signals]
-    return [*_of(failed), *_of(passed), *_ELSE]
+    return [*_pictures_of(failed), *_pictures_of(passed), *_ELSE]
 
 
-def _of(verdicts: Iterable[Verdict]) -> list[str]:
+def _pictures_of(verdicts: Iterable[Verdict]) -> list[str]:
     found = []
     for verdict in verdicts:
         signals = [name for name in map(parse_name, verdict.signals) if name is not None]
@@ -84,7 +80,7 @@ MOST_ROWS = 40  # of a table of vehicles or links
 _ONLY_IF_ANY = ("duplicated", "in flight", "corrupted")  # columns that are left out where every link has a 0
 
 
-def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table:
+def side_by_side(runs: Sequence[LoggedRun], results: Sequence[Result | None]) -> Table:
     """A row per run: what one looks for first when runs are compared; None: the run has no result."""
     headings = (
         "run", "seed", "vehicles", "status", "checks passed", "slowest settle to 10 % [s]",
@@ -103,9 +99,9 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table
         ]
         vehicles = list(result.vehicles.values())
         row += [
-            _joined([one.settle_10pct_s for one in vehicles], max, "not settled"),
-            _joined([one.formation_final_m for one in vehicles], max),
-            _joined([one.effort_Ns for one in vehicles], sum),
+            _join_numbers([one.settle_10pct_s for one in vehicles], max, "not settled"),
+            _join_numbers([one.formation_final_m for one in vehicles], max),
+            _join_numbers([one.effort_Ns for one in vehicles], sum),
         ]
         accounts = result.ledger.values()
         entered = sum(account.sent + account.duplicated - account.replaced for account in accounts)
@@ -115,13 +111,13 @@ def side_by_side(runs: Sequence[Run], results: Sequence[Result | None]) -> Table
     return Table(headings, rows)
 
 
-def believed_errors(run: Run, vehicles: Iterable[str]) -> dict[str, float]:
+def believed_errors(run: LoggedRun, vehicles: Iterable[str]) -> dict[str, float]:
     """The last formation error of each vehicle that has to navigate, as it believes it [m]."""
     known = ((i, beliefs(run.log, int(i))) for i in vehicles)
     return {i: float(one.formation_norm[-1]) for i, one in known if one is not None}
 
 
-def _joined(numbers: Sequence[float | None], join: Callable[[list[float]], float], missing: str = "-") -> str:
+def _join_numbers(numbers: Sequence[float | None], join: Callable[[list[float]], float], missing: str = "-") -> str:
     """One number for all vehicles; `missing`: what stands there if one of them has none."""
     known = [value for value in numbers if value is not None]
     return "-" if not numbers else f"{join(known):.4g}" if len(known) == len(numbers) else missing
@@ -163,7 +159,7 @@ def kinds_table(kinds: Sequence[KindCount]) -> Table:
 
 def checks_table(verdicts: Sequence[Verdict]) -> Table:
     """The verdicts, failed checks on top."""
-    rows = [(one.check, Mark(not one.failed, one.mark), one.asked, one.found) for one in failed_first(verdicts)]
+    rows = [(one.check, Mark(not one.failed, one.mark), one.asked, one.found) for one in sort_failed_first(verdicts)]
     return Table(("check", "verdict", "asked", "found"), rows, "words")
 
 
@@ -186,126 +182,6 @@ def number(key: str, value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-# A report's text about a run's scenario: the fleet, its laws and its graph, and the conditions of its links.
-
-
-_NUMBERS = ("ahead", "behind", "weight", "hub", "count", "probability")  # of a graph's shape
-_SHIPPED = {(pair.guidance, pair.tracking): name for name, pair in CONTROLLERS.items()}
-
-
-def scenario_facts(scenario: Scenario) -> list[tuple[str, Any]]:
-    """(name, value) of what one wants to know first."""
-    of_vehicles = [
-        ("vehicles", scenario.vehicles),
-        ("graph", _graph(scenario)),
-        ("controller", _by_vehicle([_laws(control) for control in scenario.controls])),
-        ("profile", _by_vehicle(_profiles(scenario))),
-    ]
-    of_nodes = [("nodes", ", ".join(scenario.nodes)), ("carries", ", ".join(scenario.spec.carry or ["**"]))]
-    return [
-        ("scenario", scenario.name),
-        *(of_nodes if scenario.nodes else of_vehicles),
-        ("duration", f"{scenario.duration_ns / 1e9:g} s in ticks of {scenario.tick_ns / 1e6:g} ms"),
-        ("seed", scenario.seed),
-    ]
-
-
-def network_facts(scenario: Scenario) -> list[tuple[str, Any]]:
-    """(name, value) of the network: its rounds, and an acoustic channel's modem with what was changed of it."""
-    if scenario.ideal:
-        return [("network", "ideal: without latency")]
-    network = show_network(scenario.spec.network)
-    acoustic: dict[str, Any] = network.get("acoustic", {})
-    return [
-        ("network", "acoustic channel" if acoustic else "links"),
-        ("round", f"every {network['period']}"),
-        ("payload", network.get("payload", "full")),
-        *((key.replace("_", " "), _words(value)) for key, value in acoustic.items()),
-    ]
-
-
-def conditions_table(scenario: Scenario) -> Table:
-    """A row per selector of links, in the words of the scenario; no row where every link is perfect."""
-    links = {} if scenario.ideal else show_network(scenario.spec.network).get("links", {})
-    return Table(("links", "condition"), [(selector, _condition(shown)) for selector, shown in links.items()], "words")
-
-
-def _condition(shown: Any) -> str:
-    """The condition of links in words: one condition, states, or a trace (without its values, which are too many)."""
-    if isinstance(shown, str):
-        return shown
-    states = [f"{name} (mean {state['mean']}): {state['condition']}" for name, state in shown.get("states", {}).items()]
-    rest = {key: value for key, value in shown.items() if key not in ("states", "trace")}
-    trace = [f"a trace of {shown['trace'].count(chr(10)) - 1} rows"] if "trace" in shown else []
-    return "; ".join([*states, *trace, *([_words(rest)] if rest else [])])
-
-
-def conditions_note(scenario: Scenario) -> str:
-    """How the table of conditions is read, or why it has no row."""
-    if scenario.ideal:
-        return "What an agent sends is heard at the same tick."
-    if not scenario.spec.network.links:
-        return "" if scenario.acoustic else "Every link is perfect: what an agent sends is heard at the next tick."
-    return "At the start. If several lines match a link, the last one applies; other links are ideal."
-
-
-def _words(value: Any) -> Any:
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {_words(inner)}" for key, inner in value.items())
-    return f"{value:g}" if isinstance(value, float) else value
-
-
-def _graph(scenario: Scenario) -> str:
-    section, links = scenario.spec.graph, scenario.graph.links
-    given = section.model_dump(exclude_none=True, exclude_defaults=True)
-    numbers = "".join(f", {key} {given[key]:g}" for key in _NUMBERS if key in given)
-    shape = section.shape or f"edges {first_words([f'{src}->{dst}' for src, dst in links], 12)}"
-    followers = [i for i, b in enumerate(scenario.b, start=1) if b]
-    who = "every vehicle" if len(followers) == scenario.vehicles else _vehicles(followers)
-    standby = section.standby
-    ready = "" if standby is None else f", {_vehicles(vehicle_numbers(standby.vehicles))} on standby"
-    return f"{shape}{numbers}; {len(links)} directed links; the reference is followed by {who}{ready}"
-
-
-def _laws(control: Control) -> str:
-    running = laws(control)
-    if "guidance" not in running:
-        return ", ".join(law.name for law in running.values())
-    guidance, tracking = running["guidance"].name, running["tracking"].name
-    name = _SHIPPED.get((guidance, tracking))
-    pair = f"guidance {guidance}, tracking {tracking}"
-    return pair if name is None else f"{name} ({pair})"
-
-
-def _profiles(scenario: Scenario) -> list[str]:
-    found: list[str] = [scenario.spec.profile] * scenario.vehicles
-    for numbers, overrides in scenario.spec.per_vehicle.items():
-        for i in vehicle_numbers(numbers):
-            found[i - 1] = overrides.profile or found[i - 1]
-    return found
-
-
-def _by_vehicle(words: Sequence[str]) -> str:
-    """A value for all vehicles, or with the vehicles that have it: `nboc`, `vehicles 1-3: nboc; vehicle 4: bc`."""
-    which: dict[str, list[int]] = {}
-    for i, text in enumerate(words, start=1):
-        which.setdefault(text, []).append(i)
-    if len(which) == 1:
-        return words[0]
-    return "; ".join(f"{_vehicles(numbers)}: {text}" for text, numbers in which.items())
-
-
-def _vehicles(numbers: Sequence[int]) -> str:
-    spans: list[list[int]] = []
-    for number in numbers:
-        if spans and spans[-1][-1] == number - 1:
-            spans[-1].append(number)
-        else:
-            spans.append([number])
-    text = first_words([str(s[0]) if len(s) == 1 else f"{s[0]}-{s[-1]}" for s in spans], 12)
-    return f"vehicle{'' if len(numbers) == 1 else 's'} {text}"
-
-
 @dataclass(slots=True)
 class RunResult:
     """The result of a run, if there is one and it is of this log."""
@@ -315,14 +191,14 @@ class RunResult:
     digest: str
 
 
-def write(path: Path, runs: Sequence[Run], view: View, share: OnProgress = lambda _: None) -> None:
+def write(path: Path, runs: Sequence[LoggedRun], view: View, share: OnProgress = lambda _: None) -> None:
     """Write the page; `share` is called with the share of the pictures that is done. Raises FleetError if the place
     cannot be written; LogReadError if a log has gone meanwhile.
     """
     write_page(path, lambda: page(runs, view, share))
 
 
-def page(runs: Sequence[Run], view: View, share: OnProgress = lambda _: None) -> str:
+def page(runs: Sequence[LoggedRun], view: View, share: OnProgress = lambda _: None) -> str:
     results = [_result(run) for run in runs]
     names = [run_name(run.log.path) for run in runs]
     blocks: list[Block] = []
@@ -344,25 +220,25 @@ def page(runs: Sequence[Run], view: View, share: OnProgress = lambda _: None) ->
 
 
 def _section(
-    number: int, run: Run, found: RunResult, kinds: Sequence[str], view: View, share: OnProgress
+    number: int, run: LoggedRun, found: RunResult, kinds: Sequence[str], view: View, share: OnProgress
 ) -> list[Block]:
     log, scenario, result = run.log, run.scenario, found.result
     name, path = run_name(log.path), from_here(log.path)
     first, pictures = _pictures(kinds, [run], view, share, [] if number else telling(run))
     blocks: list[Block] = [Heading(name, 2, f"run-{number}")]
     if log.missing:
-        blocks.append(Text(f"The log is not whole: {log.missing}. It ends at {log.end:g} s.", "warn"))
+        blocks.append(Paragraph(f"The log is not whole: {log.missing}. It ends at {log.end:g} s.", "warn"))
     if scenario is not None and scenario.title:
-        blocks.append(Text(scenario.title))
-    blocks.append(Text(found.why_none, "warn") if result is None else Mark(result.passed, result.words))
+        blocks.append(Paragraph(scenario.title))
+    blocks.append(Paragraph(found.why_none, "warn") if result is None else Mark(result.passed, result.words))
     if first is not None:
         blocks.append(first)
     if result is not None:
-        blocks += [Heading("Verdicts"), *([Text(result.reason)] if result.reason else [])]
-        blocks.append(checks_table(result.checks) if result.checks else Text("No check was judged."))
+        blocks += [Heading("Verdicts"), *([Paragraph(result.reason)] if result.reason else [])]
+        blocks.append(checks_table(result.checks) if result.checks else Paragraph("No check was judged."))
     faults = [(fault.id, f"{fault.begin:g}", f"{fault.end:g}", fault.what) for fault in log.faults]
     listed = Table(("fault", "from [s]", "to [s]", "what"), faults, "last")
-    blocks += [Heading("Faults"), listed if faults else Text("There was no fault.")]
+    blocks += [Heading("Faults"), listed if faults else Paragraph("There was no fault.")]
     if events := vehicle_events((event.what, event.begin) for event in log.events):
         rows = [(event.what, event.times, f"{event.first_s:.10g}") for event in events]
         blocks += [Heading("What happened to vehicles"), Table(("event", "times", "first at [s]"), rows)]
@@ -372,7 +248,7 @@ def _section(
         if (conditions := conditions_table(scenario)).rows:
             blocks += [Heading("Conditions of the links"), conditions]
         if note := conditions_note(scenario):
-            blocks.append(Text(note))
+            blocks.append(Paragraph(note))
     for heading, table in _tables(run, result):
         blocks += [Heading(heading), table]
     place = shlex.quote(str(path.parent if path.name == "run.mcap" else path))
@@ -380,11 +256,11 @@ def _section(
     blocks += [
         pictures,
         Heading("How to repeat it"),
-        Text(said),
-        Listing(f"fleet export {place} --scenario > again.yaml\nfleet {verb} again.yaml"),
+        Paragraph(said),
+        FoldedText(f"fleet export {place} --scenario > again.yaml\nfleet {verb} again.yaml"),
         Table((), sorted(log.run.items()), "words"),
     ]
-    return blocks + ([Listing(log.scenario_text, "scenario.yaml")] if log.scenario_text else [])
+    return blocks + ([FoldedText(log.scenario_text, "scenario.yaml")] if log.scenario_text else [])
 
 
 _REPEATED = (
@@ -398,11 +274,11 @@ _SENT_BY_OTHERS = (
 )
 
 
-def _facts(number: int, run: Run, found: RunResult) -> list[tuple[str, Any]]:
+def _facts(number: int, run: LoggedRun, found: RunResult) -> list[tuple[str, Any]]:
     name, path = run_name(run.log.path), from_here(run.log.path)
     facts = scenario_facts(run.scenario) if run.scenario is not None else []
     # The log holds simulated time only, so that it is the same each time.
-    begun = begun_at(name)
+    begun = begin_time(name)
     facts += [
         ("begun", f"{begun:%Y-%m-%d %H:%M:%S} UTC" if begun else "unknown: the name of the run does not say when"),
         ("log", f"{path}, {path.stat().st_size / 1e6:.1f} MB"),
@@ -413,7 +289,7 @@ def _facts(number: int, run: Run, found: RunResult) -> list[tuple[str, Any]]:
     return facts
 
 
-def _result(run: Run) -> RunResult:
+def _result(run: LoggedRun) -> RunResult:
     of_log = run.log.digest
     try:
         result = read_result(run.log.path.parent)
@@ -427,7 +303,7 @@ def _result(run: Run) -> RunResult:
     return RunResult(result, "", of_log)
 
 
-def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
+def _tables(run: LoggedRun, result: Result | None) -> list[tuple[str, Table]]:
     tables: list[tuple[str, Table]] = []
     reported = [i for i in run.log.vehicles if f"uuv/{i}/error" in run.log]
     if result and result.vehicles:
@@ -464,7 +340,7 @@ def _tables(run: Run, result: Result | None) -> list[tuple[str, Table]]:
     return tables
 
 
-def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
+def _from_log(run: LoggedRun) -> tuple[dict[str, Account], dict[str, LinkAge]]:
     ledger: dict[str, Account] = {}
     ages = Ages(run.log.links)
     tick_s = int(run.log.run.get("tick_ns", 0)) / 1e9
@@ -498,7 +374,7 @@ def _from_log(run: Run) -> tuple[dict[str, Account], dict[str, LinkAge]]:
 
 
 def _pictures(
-    kinds: Sequence[str], runs: Sequence[Run], view: View, share: OnProgress, first: Sequence[str] = ()
+    kinds: Sequence[str], runs: Sequence[LoggedRun], view: View, share: OnProgress, first: Sequence[str] = ()
 ) -> tuple[PageImage | None, SectionImages]:
     top, pictures = images(draw(kinds, runs, view, share), first)
     pictures.missing.extend(note for run in runs for note in run.notes)

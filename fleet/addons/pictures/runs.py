@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fleet.addons.pictures.labels import distinct, labels_of, named
+from fleet.addons.pictures.labels import distinct, given_labels, labels_of
 from fleet.addons.pictures.style import Provenance
 from fleet.errors import FleetError
 from fleet.logs.open_log import MOST_HELD, Log, Opening
@@ -40,7 +40,7 @@ class View:
     window: tuple[float, float] | None = None  # s
 
 
-def check_view(runs: Sequence[Run], view: View) -> None:
+def check_view(runs: Sequence[LoggedRun], view: View) -> None:
     """Raises FleetError: there is no such vehicle, or the logs end before the window begins."""
     known = sorted({i for run in runs for i in run.log.vehicles})
     strangers = [i for i in view.vehicles or () if i not in known]
@@ -53,7 +53,7 @@ def check_view(runs: Sequence[Run], view: View) -> None:
 
 
 @dataclass
-class Run:
+class LoggedRun:
     """One run to draw: `label` is its name in a legend, `notes` are lines for the user about parts that the picture
     lacks.
     """
@@ -135,16 +135,17 @@ def load(
     share: Callable[[float], None] = lambda _: None,
     most_held: int = MOST_HELD,
     labels: Mapping[str, str] | Sequence[str] = (),
-) -> list[Run]:
-    """Read logs, each with a name: `labels` as in `named`, the others as in `labels_of`. Of each at most `most_held`
-    bytes are held at once. Raises LogReadError if one of them cannot be read; FleetError: a label is of none of them.
+) -> list[LoggedRun]:
+    """Read logs, each with a name: `labels` as in `given_labels`, the others as in `labels_of`. Of each at most
+    `most_held` bytes are held at once. Raises LogReadError if one of them cannot be read; FleetError: a label is of
+    none of them.
     """
-    given = named(paths, labels)
+    given = given_labels(paths, labels)
     check_readable(paths)
     # Poses are states in another form.
     logs = [Opening(path, _WANTED, share, drawn=_DRAWN, most_held=most_held).read() for path in paths]
     names = [own or found for own, found in zip(given, labels_of(logs), strict=True)]
-    return [Run(log, label) for log, label in zip(logs, distinct(names), strict=True)]
+    return [LoggedRun(log, label) for log, label in zip(logs, distinct(names), strict=True)]
 
 
 _WANTED = [*(f"uuv/*/{group}" for group in GROUPS), "faults", "link/*"]
@@ -168,7 +169,7 @@ def with_gaps(t: Array, values: Array, step: float = 0.0) -> tuple[Array, Array]
     return np.insert(t, holes + 1, np.nan), np.insert(values, holes + 1, np.nan, axis=0)
 
 
-def origin(runs: Sequence[Run], title: str) -> Provenance:
+def origin(runs: Sequence[LoggedRun], title: str) -> Provenance:
     """The origin written into a picture's file: scenario, seed and digest of each run."""
     facts = {
         "scenario": [run.log.run.get("scenario") or run.label for run in runs],

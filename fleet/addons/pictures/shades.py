@@ -74,7 +74,7 @@ def _rows(
     rows = []
     for fault, text in zip(faults, texts, strict=True):
         width = (text_width_pt(text, label_pt()) + 4.0) * per_pt
-        begin = _left(fault, width, first, last)
+        begin = _text_left_s(fault, width, first, last)
         row = next((k for k, until in enumerate(taken) if until <= begin), len(taken))
         if row >= MOST_ROWS:
             return None
@@ -83,7 +83,7 @@ def _rows(
     return rows
 
 
-def _left(fault: FaultInterval, width: float, first: float, last: float) -> float:
+def _text_left_s(fault: FaultInterval, width: float, first: float, last: float) -> float:
     """Where the text of a fault begins [s]: with the fault, but inside."""
     return max(min(max(fault.begin, first), last - width), first)
 
@@ -96,7 +96,7 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
     texts = [words(fault) for fault in faults]
     rows = _rows(faults, texts, first, last, per_pt)
     if rows is None:
-        listed = _listed(texts)
+        listed = _list_lines(texts)
         texts = [str(number + 1) for number in range(len(faults))]
         rows = _rows(faults, texts, first, last, per_pt)
     if rows is None:
@@ -105,9 +105,9 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
         width = (text_width_pt(text, label_pt()) + 4.0) * per_pt
         above = 2.0 + row * (label_pt() + 3.0)
         ax.annotate(
-            text, (_left(fault, width, first, last), 1.0), xycoords=("data", "axes fraction"), xytext=(0, above + 1.0),
-            textcoords="offset points", fontsize=label_pt(), color=_NAME, annotation_clip=False, gid="fault-name",
-            parse_math=False,
+            text, (_text_left_s(fault, width, first, last), 1.0), xycoords=("data", "axes fraction"),
+            xytext=(0, above + 1.0), textcoords="offset points", fontsize=label_pt(), color=_NAME,
+            annotation_clip=False, gid="fault-name", parse_math=False,
         )  # fmt: skip
         raised = ScaledTranslation(0.0, above / 72.0, _figure(ax).dpi_scale_trans)
         extent = [max(fault.begin, first), min(fault.end, last)]
@@ -118,7 +118,7 @@ def _name(ax: Axes, faults: Sequence[FaultInterval], first: float, last: float) 
     return listed
 
 
-def _listed(texts: Sequence[str]) -> list[str]:
+def _list_lines(texts: Sequence[str]) -> list[str]:
     """Lines such as `1 kill 3, 2 deaf 1`, short enough for a column."""
     named = [f"{number} {text}" for number, text in enumerate(texts[:_MOST_LISTED], 1)]
     if len(texts) > _MOST_LISTED:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from fleet.addons.pictures.axes import COLOUR
 from fleet.addons.pictures.found_signal import find_signal, plain_name, topic_of
-from fleet.addons.pictures.runs import Run, View
+from fleet.addons.pictures.runs import LoggedRun, View
 from fleet.addons.pictures.thresholds import Threshold, draw_thresholds, thresholds
 from fleet.scenario.schema.checks import EVERY, SignalCheck
 from fleet.scenario.sections.signal_checks import AskedOfSignal, SignalCheckError, ask
@@ -23,7 +23,7 @@ PICTURES = {"consensus": "error", "formation": "formation"}
 
 
 def draw_limits(
-    ax: Axes, runs: Sequence[Run], view: View, name: SignalName, shift: dict[int, float] | None = None
+    ax: Axes, runs: Sequence[LoggedRun], view: View, name: SignalName, shift: dict[int, float] | None = None
 ) -> list[str]:
     """Draw all that checks ask of a signal, and where vehicles failed it; returns words on what is no line.
 
@@ -44,7 +44,7 @@ def draw_limits(
     return list(dict.fromkeys(words))
 
 
-def _as_asked(run: Run, check: SignalCheck, name: SignalName) -> AskedOfSignal | None:
+def _as_asked(run: LoggedRun, check: SignalCheck, name: SignalName) -> AskedOfSignal | None:
     topic = parse_name(check.topic)
     if topic is None or plain_name(topic) != name:
         return None
@@ -61,7 +61,7 @@ def _as_asked(run: Run, check: SignalCheck, name: SignalName) -> AskedOfSignal |
         return None
 
 
-def _lines(run: Run, asked: AskedOfSignal) -> Iterator[Threshold]:
+def _lines(run: LoggedRun, asked: AskedOfSignal) -> Iterator[Threshold]:
     words = asked.words.removeprefix(f"{asked.signal} ")
     for value in sorted({asked.condition.low, asked.condition.high}):
         if isfinite(value):
@@ -69,7 +69,7 @@ def _lines(run: Run, asked: AskedOfSignal) -> Iterator[Threshold]:
                 yield Threshold(value, begin, end, "", words)
 
 
-def _times(run: Run, asked: AskedOfSignal) -> list[tuple[float, float]]:
+def _times(run: LoggedRun, asked: AskedOfSignal) -> list[tuple[float, float]]:
     """When it has to hold, or within which time it has to begin [s]."""
     after = asked.after_ns / 1e9
     if asked.within_ns is None:
@@ -81,12 +81,12 @@ def _times(run: Run, asked: AskedOfSignal) -> list[tuple[float, float]]:
     return [(end, end + within) for end in ends]
 
 
-def _draw_failed(ax: Axes, runs: Sequence[Run], view: View, name: SignalName, shift: dict[int, float]) -> None:
+def _draw_failed(ax: Axes, runs: Sequence[LoggedRun], view: View, name: SignalName, shift: dict[int, float]) -> None:
     """A cross on the value of each vehicle that failed a check of the signal, at the time of the failure."""
     first, last = ax.get_xlim()
     for run in runs:
         shown = run.vehicles(view)
-        for at_s, i, value in _failed(run, name):
+        for at_s, i, value in _failures(run, name):
             if i in shown and first <= at_s <= last:
                 ax.plot(
                     at_s, value + shift.get(i, 0.0), "x", color=COLOUR, markersize=5, markeredgewidth=1.2, zorder=6,
@@ -94,7 +94,7 @@ def _draw_failed(ax: Axes, runs: Sequence[Run], view: View, name: SignalName, sh
                 )  # fmt: skip
 
 
-def _failed(run: Run, name: SignalName) -> Iterator[tuple[float, int, float]]:
+def _failures(run: LoggedRun, name: SignalName) -> Iterator[tuple[float, int, float]]:
     """Time [s], vehicle and value of each failure."""
     for verdict in run.verdicts:
         moment = verdict.moment

@@ -16,7 +16,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from fleet.addons.pictures.caption import caption_of
-from fleet.addons.pictures.look import LEGEND_PT, TEXT_PT, page_in, wanted
+from fleet.addons.pictures.look import LEGEND_PT, TEXT_PT, current_look, page_in
 from fleet.errors import FleetError
 from fleet.palette import COLOURS
 from netem.whole_file import whole_file
@@ -174,7 +174,7 @@ def save_all(
             else:
                 paths += save(figure, folder / name, formats, origin())
                 captions.append(f"{name}: {origin().title}\n{caption_of(figure)}\n")
-        if captions and not wanted().caption:
+        if captions and not current_look().caption:
             paths.append(folder / CAPTIONS)
             with whole_file(paths[-1]) as part:
                 part.write_text("\n".join(captions), "utf-8")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from matplotlib.axes import Axes
 
 from fleet.addons.pictures.look import label_pt
-from fleet.addons.pictures.runs import Run
+from fleet.addons.pictures.runs import LoggedRun
 from fleet.addons.pictures.shades import union
 from fleet.addons.pictures.style import HALO, NORMAL
 from fleet.scenario.schema.checks import EVERY, Below, Recovery
@@ -29,7 +29,7 @@ class Threshold(NamedTuple):
     asked: str  # such as `below 0.5 m`
 
 
-def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
+def thresholds(runs: Sequence[LoggedRun], error: str) -> list[Threshold]:
     """Those of the checks of all runs, each once. `error`: `formation` or `consensus`."""
     found: list[Threshold] = []
     for run in runs:
@@ -39,7 +39,7 @@ def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
         below: Below | None = getattr(checks, f"{error}_error")
         if below is not None:
             after = below.after / 1e9
-            words = f"from {after:g} s{_of(below.vehicles)}"
+            words = f"from {after:g} s{_of_vehicles(below.vehicles)}"
             found.append(Threshold(below.below, after, run.log.end, words, _below(below.below)))
         for check in checks.recovery_time or ():
             if check.error == error:
@@ -47,7 +47,7 @@ def thresholds(runs: Sequence[Run], error: str) -> list[Threshold]:
     return list(dict.fromkeys(one for one in found if one.begin < one.end))
 
 
-def age_limits(runs: Sequence[Run]) -> list[Threshold]:
+def age_limits(runs: Sequence[LoggedRun]) -> list[Threshold]:
     """The ages [s] that the checks of all runs allow, each once."""
     found = []
     for run in runs:
@@ -60,14 +60,14 @@ def age_limits(runs: Sequence[Run]) -> list[Threshold]:
     return list(dict.fromkeys(one for one in found if one.begin < one.end))
 
 
-def _recoveries(check: Recovery, run: Run) -> list[Threshold]:
+def _recoveries(check: Recovery, run: LoggedRun) -> list[Threshold]:
     faults = run.log.faults
     allowed = check.below / 1e9
     found = []
     for fault in faults:
         if check.fault in (EVERY, fault.id) and fault.end < run.log.end:
             later = (other.begin for other in faults if other.id != fault.id and other.begin >= fault.end)
-            words = f"{allowed:g} s after {fault.id}{_of(check.vehicles)}"
+            words = f"{allowed:g} s after {fault.id}{_of_vehicles(check.vehicles)}"
             end = min(later, default=run.log.end)
             found.append(Threshold(check.within, fault.end + allowed, end, words, _below(check.within)))
     return found
@@ -77,7 +77,7 @@ def _below(value: float) -> str:
     return f"below {value:g} m"
 
 
-def _of(vehicles: str | None) -> str:
+def _of_vehicles(vehicles: str | None) -> str:
     return "" if vehicles is None else f", UUV {vehicles}"
 
 

@@ -1,4 +1,4 @@
-"""Pictures of errors and inputs over time."""
+"""Pictures of the vehicles over time: errors with the limits of checks, inputs with their limits."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from fleet.addons.pictures.axes import (
     MOST_NAMED,
     SMALLEST,
     Get,
+    clip_to_window,
     draw_lines,
     finish,
-    over_time,
+    time_axes,
     time_span,
-    within,
 )
 from fleet.addons.pictures.axes import bounds as draw_bounds
 from fleet.addons.pictures.beliefs import beliefs
-from fleet.addons.pictures.runs import Run, View, with_gaps
+from fleet.addons.pictures.runs import LoggedRun, View, with_gaps
 from fleet.addons.pictures.signal_limits import draw_limits
 from fleet.addons.pictures.style import (
     HEAVY,
@@ -35,9 +35,6 @@ from fleet.mcap.records import Array
 from fleet.scenario.sections.per_vehicle import Control
 from fleet.scenario.sections.signals import SignalName
 
-# Signals of the vehicles over time: errors with the limits of checks, inputs with their limits.
-
-
 FORCES = (("surge force", "N"), ("pitch moment", "N m"), ("yaw moment", "N m"))
 HEAVY_SUFFIX = "-saturated"
 _ROW_IN = 0.8
@@ -45,7 +42,7 @@ _AT_LIMIT = 1.0 - 1e-6
 
 
 def component(group: str, name: str, k: int = 0) -> Get:
-    def get(run: Run, i: int) -> tuple[Array, Array] | None:
+    def get(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
         found = run.series(i, group, name)
         if found is None or found[1].shape[1] <= k:
             return None
@@ -54,18 +51,18 @@ def component(group: str, name: str, k: int = 0) -> Get:
     return get
 
 
-def consensus(runs: Sequence[Run], view: View) -> Figure:
+def consensus(runs: Sequence[LoggedRun], view: View) -> Figure:
     """|e_i| of each vehicle."""
     return _norm(runs, view, "e_norm", "consensus error $|e|$ [m]")
 
 
-def formation(runs: Sequence[Run], view: View) -> Figure:
+def formation(runs: Sequence[LoggedRun], view: View) -> Figure:
     """Distance of each vehicle from its desired position; below it what vehicles that navigate believe of it."""
     believed = any(beliefs(run.log, i) for run in runs for i in run.vehicles(view))
     return _norm(runs, view, "formation_norm", "formation error [m]", believed=believed)
 
 
-def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
+def _believed_formation(run: LoggedRun, i: int) -> tuple[Array, Array] | None:
     known = beliefs(run.log, i)
     if known is None:
         return None
@@ -73,8 +70,8 @@ def _believed_formation(run: Run, i: int) -> tuple[Array, Array] | None:
     return t, values[:, 0]
 
 
-def _norm(runs: Sequence[Run], view: View, name: str, label: str, *, believed: bool = False) -> Figure:
-    figure, axes = over_time(2, runs, view) if believed else over_time(1, runs, view, 2.4)
+def _norm(runs: Sequence[LoggedRun], view: View, name: str, label: str, *, believed: bool = False) -> Figure:
+    figure, axes = time_axes(2, runs, view) if believed else time_axes(1, runs, view, 2.4)
     log = view.log_scale is not False
     panel = list(zip(axes, (component("error", name), _believed_formation), strict=False))
     notes = draw_lines(figure, panel, runs, view, log=log)
@@ -104,13 +101,13 @@ def _logarithmic(ax: Axes) -> None:
     plain_decades(ax.yaxis)
 
 
-def inputs(runs: Sequence[Run], view: View) -> Figure:
+def inputs(runs: Sequence[LoggedRun], view: View) -> Figure:
     """Force and moments as applied; heavy where the commanded ones are at their limit. A few vehicles have a row each,
     since their lines would hide each other.
     """
     vehicles = sorted({i for run in runs for i in run.vehicles(view)})
     if not 2 <= len(vehicles) <= MOST_NAMED:
-        figure, axes = over_time(len(FORCES), runs, view)
+        figure, axes = time_axes(len(FORCES), runs, view)
         places: list[_Place] = [(ax, k, vehicles) for k, ax in enumerate(axes)]
         columns = 1
     else:
@@ -118,7 +115,7 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
         figure, axes = panels(len(vehicles), columns, height=_ROW_IN * len(vehicles) + 0.8)
         axes[0].set_xlim(time_span(runs, view))
         places = [(ax, n % columns, [vehicles[n // columns]]) for n, ax in enumerate(axes)]
-    panel = [(ax, _of(some, component("command", "applied", k))) for ax, k, some in places]
+    panel = [(ax, _getter(some, component("command", "applied", k))) for ax, k, some in places]
     # An input is held until the next one.
     notes = draw_lines(figure, panel, runs, view, apart=columns > 1, drawstyle="steps-post")
     saturated = False
@@ -147,7 +144,7 @@ def inputs(runs: Sequence[Run], view: View) -> Figure:
 _Place = tuple[Axes, int, Sequence[int]]  # axes, the component, and the vehicles that it shows
 
 
-def _of(vehicles: Sequence[int], get: Get) -> Get:
+def _getter(vehicles: Sequence[int], get: Get) -> Get:
     return lambda run, i: get(run, i) if i in vehicles else None
 
 
@@ -184,13 +181,13 @@ def _largest(artist: Line2D | Collection) -> float:
     return float(np.nanmax(np.abs(heights), initial=0.0))
 
 
-def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float, width: float) -> bool:
+def _heavy(ax: Axes, run: LoggedRun, view: View, i: int, k: int, limit: float, width: float) -> bool:
     found, commanded = run.series(i, "command", "applied"), run.series(i, "command", "tau")
     line = next((one for one in ax.get_lines() if one.get_gid() == f"{run.slug}-vehicle-{i}"), None)
     if found is None or commanded is None or line is None or not limit > 0.0:
         return False
-    t, values = within(found[0], found[1][:, k], view.window)
-    _, asked = within(*commanded, view.window)
+    t, values = clip_to_window(found[0], found[1][:, k], view.window)
+    _, asked = clip_to_window(*commanded, view.window)
     at_limit = np.abs(asked[:, k]) >= _AT_LIMIT * limit
     if not at_limit.any():
         return False
@@ -205,7 +202,7 @@ def _heavy(ax: Axes, run: Run, view: View, i: int, k: int, limit: float, width: 
     return True
 
 
-def _controls(run: Run, view: View) -> list[tuple[int, Control]]:
+def _controls(run: LoggedRun, view: View) -> list[tuple[int, Control]]:
     if run.scenario is None:
         return []
     return [(i, run.scenario.controls[i - 1]) for i in run.vehicles(view) if i <= run.scenario.vehicles]

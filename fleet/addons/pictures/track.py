@@ -31,7 +31,7 @@ from fleet.addons.pictures.axes import (
 from fleet.addons.pictures.beliefs import beliefs
 from fleet.addons.pictures.caption import write_caption
 from fleet.addons.pictures.look import column_in, label_pt
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, first_words
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View, first_words
 from fleet.addons.pictures.style import NORMAL, STYLES, THIN
 from fleet.mcap.records import Array
 from fleet.palette import COLOURS
@@ -40,9 +40,6 @@ from fleet.recorder.scene.model import SceneModel
 from fleet.recorder.scene.primitives import AreaShape, CylinderShape, LineShape, Primitive
 from fleet.recorder.scene.styles import COURSE, PRINT
 from fleet.scenario.sections.fault_entry import DIVERGED, TUMBLED, entry_kind, entry_vehicles
-
-# Where the vehicles believed that they were, beside where they were: a thin way, and an ellipse at a few moments.
-
 
 MOMENTS = 5
 STRETCHES = 40  # of a way in three dimensions
@@ -55,7 +52,7 @@ BELIEF_ENTRIES: list[Artist] = [  # of a legend
 
 
 class BelievedWay(NamedTuple):
-    """The beliefs of one vehicle."""
+    """Where a vehicle believed that it was, beside where it was: a thin way, and an ellipse at a few moments."""
 
     vehicle: int
     colour: str
@@ -63,7 +60,7 @@ class BelievedWay(NamedTuple):
     ellipses: list[AreaShape]
 
 
-def believed_way(run: Run, i: int, colour: str, view: View) -> BelievedWay | None:
+def believed_way(run: LoggedRun, i: int, colour: str, view: View) -> BelievedWay | None:
     """The beliefs of vehicle i in the window of a picture; None: it knew where it was, or the log has no beliefs."""
     known, state = beliefs(run.log, i), f"uuv/{i}/state"
     if known is None or state not in run.log or not len(run.log[state]):
@@ -102,9 +99,6 @@ def draw_ways_in_space(ax: Any, ways: Sequence[BelievedWay]) -> None:
             ax.add_collection3d(Poly3DCollection(corners, **style, **_AREA))
 
 
-# The marks on the pictures of the tracks: events of vehicles and their places, directions, desired places.
-
-
 # What begins a fault's text -> (what became of the vehicle, mark).
 MARKS = {"kill": ("agent dead", "X"), TUMBLED: (TUMBLED, "*"), DIVERGED: (DIVERGED, "P")}
 _ARROWS = 3  # per track
@@ -120,7 +114,7 @@ class Happening(NamedTuple):
     position: Array  # m, NED
 
 
-def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) -> list[Happening]:
+def happenings(run: LoggedRun, view: View, tracks: Mapping[int, tuple[Array, Array]]) -> list[Happening]:
     """The events of the vehicles in a picture, in the order of time. `tracks`: times [s] and positions (samples, 3) [m,
     NED] of each vehicle.
     """
@@ -135,7 +129,7 @@ def happenings(run: Run, view: View, tracks: Mapping[int, tuple[Array, Array]]) 
     return sorted(found, key=lambda one: (one.t, one.vehicle))
 
 
-def told(found: Sequence[Happening]) -> list[str]:
+def captions(found: Sequence[Happening]) -> list[str]:
     """A line such as `tumbled: UUV 2 at 27.7 s (3 times), UUV 3 at 26.3 s` for each kind."""
     lines = []
     for what in dict.fromkeys(one.what for one in found):
@@ -166,7 +160,7 @@ def directions(positions: Array) -> list[tuple[Array, float]]:
     return found
 
 
-def places(run: Run, view: View) -> dict[int, Array]:
+def places(run: LoggedRun, view: View) -> dict[int, Array]:
     """Where each vehicle should be at the end of the picture [m, NED]."""
     if run.scenario is None:
         return {}
@@ -195,7 +189,7 @@ _DOTS: dict[str, Any] = {"s": 1.5, "linewidths": 0, "zorder": 2, "gid": "ends"}
 class VehicleTrack(NamedTuple):
     """A vehicle's way, and how it is drawn."""
 
-    run: Run
+    run: LoggedRun
     vehicle: int
     t: Array  # s
     positions: Array  # (samples, 3) [m, NED]
@@ -203,11 +197,11 @@ class VehicleTrack(NamedTuple):
     style: Any
 
 
-def top(runs: Sequence[Run], view: View) -> Figure:
+def top(runs: Sequence[LoggedRun], view: View) -> Figure:
     """North over east, to scale."""
     tracks, entries = _tracks(runs, view)
     wanted = [places(run, view) for run in runs]
-    ways = _believed(tracks, view)
+    ways = _believed_ways(tracks, view)
     seen = [*(track.positions for track in tracks), *(way.positions for way in ways)]
     low, high = _extent([*seen, *(np.array([*w.values()]) for w in wanted if w)])
     figure, ax, tall = _sheet(low, high)
@@ -221,11 +215,11 @@ def top(runs: Sequence[Run], view: View) -> Figure:
     draw_ways(ax, [way for way in ways if way.vehicle in distinct])
     for place in (place for w in wanted for i, place in w.items() if i in distinct):
         ax.plot(place[1], place[0], "+", color="black", markersize=6, markeredgewidth=THIN, zorder=5, gid="place")
-    happened = _happened(runs, view, tracks)
+    happened = _happenings(runs, view, tracks)
     for one, colour in happened:
         ax.plot(one.position[1], one.position[0], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5,
                 markersize=6, zorder=6, gid=f"{one.what}-{one.vehicle}")  # fmt: skip
-    entries += _explained(happened, runs, standing, linked=bool(edges), flat=True)
+    entries += _legend_entries(happened, runs, standing, linked=bool(edges), flat=True)
     entries += BELIEF_ENTRIES if ways else []
     _finish(figure, runs, [one for one, _ in happened], [])
     tall &= max(len(str(entry.get_label())) for entry in entries) <= _BESIDE
@@ -270,7 +264,7 @@ def _paint(ax: Any, thing: Primitive) -> None:
 def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
     """The ways; returns the vehicles that are drawn one by one."""
     many = len({track.vehicle for track in tracks}) > MOST_NAMED
-    others, distinct = _apart(tracks)
+    others, distinct = _divide_tracks(tracks)
     if others:
         colours = [track.colour for track in others]
         lines: Any = [track.positions[:, 1::-1] for track in others]
@@ -293,17 +287,17 @@ def _draw_from_above(ax: Axes, tracks: list[VehicleTrack]) -> set[int]:
     return {track.vehicle for track in distinct}
 
 
-def _believed(tracks: list[VehicleTrack], view: View) -> list[BelievedWay]:
+def _believed_ways(tracks: list[VehicleTrack], view: View) -> list[BelievedWay]:
     found = (believed_way(track.run, track.vehicle, track.colour, view) for track in tracks)
     return [way for way in found if way is not None]
 
 
-def space(runs: Sequence[Run], view: View) -> Figure:
+def space(runs: Sequence[LoggedRun], view: View) -> Figure:
     """East, north and depth; east and north have one scale, and it is said how much larger that of depth is."""
     tracks, entries = _tracks(runs, view)
     standing = _standing(runs, view)
     courses = [np.array([point[1:] for point in thing.points]) for thing in standing if isinstance(thing, LineShape)]
-    ways = _believed(tracks, view)
+    ways = _believed_ways(tracks, view)
     low, high = _extent([*(track.positions for track in tracks), *(way.positions for way in ways), *courses])
     figure = Figure(figsize=(column_in(), 3.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -316,12 +310,12 @@ def space(runs: Sequence[Run], view: View) -> Figure:
         _paint_in_space(ax, thing)
     distinct = _draw_in_space(ax, tracks)
     draw_ways_in_space(ax, [way for way in ways if way.vehicle in distinct])
-    happened = _happened(runs, view, tracks)
+    happened = _happenings(runs, view, tracks)
     for one, colour in happened:
         x, y, z = one.position
         ax.plot([y], [x], [z], one.mark, color=colour, markeredgecolor="black", markeredgewidth=0.5, markersize=6,
                 gid=f"{one.what}-{one.vehicle}")  # fmt: skip
-    entries += _explained(happened, runs, standing, linked=bool(edges), flat=False)
+    entries += _legend_entries(happened, runs, standing, linked=bool(edges), flat=False)
     entries += BELIEF_ENTRIES if ways else []
     scale = f"depth exaggerated {factor} times" if factor > 1 else "depth to scale"
     _finish(figure, runs, [one for one, _ in happened], [scale])
@@ -399,7 +393,7 @@ def _paint_in_space(ax: Any, thing: Primitive) -> None:
 
 def _draw_in_space(ax: Any, tracks: list[VehicleTrack]) -> set[int]:
     """The ways, with their beginnings and ends; returns the vehicles that are drawn one by one."""
-    others, distinct = _apart(tracks)
+    others, distinct = _divide_tracks(tracks)
     if others:
         colours = [track.colour for track in others]
         lines = [track.positions[:, [1, 0, 2]] for track in others]
@@ -419,7 +413,7 @@ def exaggeration(across: float, deep: float) -> int:
     return max((f for f in _EXAGGERATIONS if f * deep <= 0.6 * across), default=1)
 
 
-def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[Artist]]:
+def _tracks(runs: Sequence[LoggedRun], view: View) -> tuple[list[VehicleTrack], list[Artist]]:
     found: list[VehicleTrack] = []
     for run in runs:
         for i in run.vehicles(view):
@@ -448,13 +442,13 @@ def _tracks(runs: Sequence[Run], view: View) -> tuple[list[VehicleTrack], list[A
     return [track._replace(colour=of.get(track.vehicle, GREY)) for track in found], entries
 
 
-def _worst(run: Run, shown: Sequence[int]) -> list[int]:
+def _worst(run: LoggedRun, shown: Sequence[int]) -> list[int]:
     errors = {i: run.series(i, "error", "formation_norm") for i in shown}
     known = {i: (one[0], one[1][:, 0]) for i, one in errors.items() if one is not None}
     return sorted(outliers([spread(known)], log=True)) if known else []
 
 
-def _apart(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[VehicleTrack]]:
+def _divide_tracks(tracks: list[VehicleTrack]) -> tuple[list[VehicleTrack], list[VehicleTrack]]:
     """The tracks that are drawn together because they are many, and those that are drawn one by one, which the legend
     names.
     """
@@ -481,7 +475,7 @@ def _extent(positions: Sequence[Array]) -> tuple[Array, Array]:
     return low, high
 
 
-def _happened(runs: Sequence[Run], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
+def _happenings(runs: Sequence[LoggedRun], view: View, tracks: Sequence[VehicleTrack]) -> list[tuple[Happening, str]]:
     found = []
     for run in runs:
         own = {track.vehicle: track for track in tracks if track.run is run}
@@ -490,9 +484,9 @@ def _happened(runs: Sequence[Run], view: View, tracks: Sequence[VehicleTrack]) -
     return found
 
 
-def _explained(
+def _legend_entries(
     happened: Sequence[tuple[Happening, str]],
-    runs: Sequence[Run],
+    runs: Sequence[LoggedRun],
     standing: Sequence[Primitive],
     *,
     linked: bool,
@@ -519,12 +513,12 @@ def _explained(
     return entries + [mark(sign, what, markeredgecolor="black", markersize=5) for what, sign in signs.items()]
 
 
-def _finish(figure: Figure, runs: Sequence[Run], happened: Sequence[Happening], notes: Sequence[str]) -> None:
+def _finish(figure: Figure, runs: Sequence[LoggedRun], happened: Sequence[Happening], notes: Sequence[str]) -> None:
     cut = [f"{run.label}: the log is not whole, it ends at {run.log.end:g} s" for run in runs if run.log.missing]
-    write_caption(figure, [*notes, *told(happened), *cut])
+    write_caption(figure, [*notes, *captions(happened), *cut])
 
 
-def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
+def _shapes(run: LoggedRun, view: View) -> list[tuple[Array, Array]]:
     """Edges of the graph at a few moments: pairs of positions [m, NED]."""
     shown = run.vehicles(view)
     edges = sorted({(min(a, b), max(a, b)) for a, b in run.log.links if a in shown and b in shown})
@@ -542,7 +536,7 @@ def _shapes(run: Run, view: View) -> list[tuple[Array, Array]]:
     return found
 
 
-def _standing(runs: Sequence[Run], view: View) -> list[Primitive]:
+def _standing(runs: Sequence[LoggedRun], view: View) -> list[Primitive]:
     scenes = [(SceneModel(run.scenario), view.window or (0.0, run.log.end)) for run in runs if run.scenario is not None]
     obstacles = dict.fromkeys(one for scene, _ in scenes for one in scene.obstacles)
     return [*obstacles, *(scene.course(*window) for scene, window in scenes)]

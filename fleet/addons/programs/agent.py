@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from agents.api import Signal
 from fleet.addons.programs.executables import obstacle
 from fleet.addons.programs.helpers import own_python
-from fleet.addons.programs.library import NoLibraryError, compiled
+from fleet.addons.programs.library import NoLibraryError, compile_library
 from fleet.addons.programs.line_signal import LineSignal
 from fleet.addons.programs.message_signal import MessageSignal, plain_reader
 from fleet.addons.programs.modem_beside import MODEM_NAMES
@@ -55,7 +55,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     setup = _setup(path, parameters.get("setup"))
     python = "python3" if setup else own_python()
     interpreter = parameters.get("interpreter") or (python if path.suffix == ".py" else "")
-    if "/" in interpreter and (file := _beside(path, interpreter)):
+    if "/" in interpreter and (file := _find_beside(path, interpreter)):
         interpreter = str(file)
     found = shutil.which(interpreter) if interpreter else None
     if interpreter and found is None:
@@ -69,7 +69,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
     _check_values(path, parameters)
     node = (*setup, (interpreter if setup else found) or python, str(_ROS_VEHICLE)) if parameters.get("vehicle") else ()
     try:
-        compiled()
+        compile_library()
     except NoLibraryError as error:
         raise _wrong(path, str(error)) from None
 
@@ -85,7 +85,7 @@ def program_class(path: Path, parameters: Mapping[str, Any]) -> type[ProcessAgen
         command = alone
         together = others
         ends = _ends(parameters.get("ends"))
-        awaits = _awaited(path, parameters.get("ready") or ())
+        awaits = _ready_lines(path, parameters.get("ready") or ())
         variables = variables_of_module
         beside = node
         reads = tuple(each for each in told.values() if isinstance(each, LineSignal))
@@ -108,17 +108,17 @@ def _others(path: Path, given: Any) -> tuple[OtherProgram, ...]:
         if unknown := sorted(each.keys() - {"run", "env", "ends"}):
             raise _wrong(path, f"beside.{name}: there is no key {unknown[0]!r}", "known: run, env, ends")
         first = own_python() if words[0] in ("python", "python3") else shutil.which(str(words[0]))
-        first = first or (str(file.resolve()) if (file := _beside(path, str(words[0]))) else None)
+        first = first or (str(file.resolve()) if (file := _find_beside(path, str(words[0]))) else None)
         if first is None:
             raise _wrong(path, f"beside.{name}: there is no command {words[0]!r}", "give its path, or install it")
         if problem := obstacle(Path(first)):
             raise _wrong(path, f"beside.{name}: {problem}")
-        rest = [str(file.resolve()) if (file := _beside(path, str(word))) else str(word) for word in words[1:]]
+        rest = [str(file.resolve()) if (file := _find_beside(path, str(word))) else str(word) for word in words[1:]]
         others.append(OtherProgram(str(name), (first, *rest), dict(each.get("env") or {}), _ends(each.get("ends"))))
     return tuple(others)
 
 
-def _awaited(path: Path, given: Any) -> tuple[ReadyLine, ...]:
+def _ready_lines(path: Path, given: Any) -> tuple[ReadyLine, ...]:
     """The lines that say that programs are ready. Raises PluginError: one is described wrongly."""
     try:
         return tuple(ReadyLine(str(e["name"]), re.compile(e["line"]), round(float(e["within_s"]) * 1e9)) for e in given)
@@ -195,7 +195,7 @@ def _setup(path: Path, name: Any) -> tuple[str, ...]:
     """The beginning of a command line that reads a file of a shell first, such as `setup.bash` of ROS 2; (): none."""
     if not name:
         return ()
-    file = _beside(path, str(name))
+    file = _find_beside(path, str(name))
     if file is None:
         hint = "give a file of bash, beside the program or where you are, such as /opt/ros/jazzy/setup.bash"
         raise _wrong(path, f"setup: there is no file {name}", hint)
@@ -203,7 +203,7 @@ def _setup(path: Path, name: Any) -> tuple[str, ...]:
     return "/bin/bash", "-c", 'setup() { . "$0"; }; setup; exec "$@"', str(file.resolve())
 
 
-def _beside(path: Path, name: str) -> Path | None:
+def _find_beside(path: Path, name: str) -> Path | None:
     """A file beside the program, or where the user is. Its name stays: a link to a Python is another Python."""
     given = Path(name).expanduser()
     folders = path.parent.absolute(), Path.cwd()

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fleet.addons.programs.attachment import Attachment, attached
-from fleet.cli.companion import Beside, Companion
+from fleet.addons.programs.attachment import Attachment, attach
+from fleet.cli.companion import Companion, RunCompanion
 from fleet.errors import FleetError
 from fleet.option import Option
 from fleet.quantities import time_ns
@@ -48,10 +48,10 @@ class Attach(Companion):
         return replace(how, in_process=True)
 
     @contextmanager
-    def beside(self, how: Options) -> Iterator[Beside]:
+    def start(self, how: Options) -> Iterator[RunCompanion]:
         """As long as the run lasts, its agent finds what was asked for."""
-        with attached(_read(self.options.attach or "")):
-            yield Beside()
+        with attach(_read(self.options.attach or "")):
+            yield RunCompanion()
 
     def _asked(self, scenario: Scenario) -> Attachment:
         asked = _read(self.options.attach or "")

@@ -25,7 +25,7 @@ _now: Attachment | None = None  # of the run that goes on in this process
 
 
 @contextmanager
-def attached(to: Attachment) -> Iterator[None]:
+def attach(to: Attachment) -> Iterator[None]:
     """Let the agent of a run that goes on inside find what is asked for."""
     global _now
     _now = to

@@ -36,7 +36,7 @@ def obstacle(path: str | Path) -> str:
         if status.st_mode & 0o6000 and status.st_uid != os.getuid():
             return f"{found} runs with the rights of its owner, and then nothing can be preloaded; {WALL_CLOCK}"
         if not head.startswith(b"#!"):
-            return _of_binary(found, head)
+            return _binary_problem(found, head)
         words = head[2:].split(b"\n", 1)[0].split()
         if not words:
             return ""
@@ -48,7 +48,7 @@ def obstacle(path: str | Path) -> str:
     return ""
 
 
-def _of_binary(found: str, head: bytes) -> str:
+def _binary_problem(found: str, head: bytes) -> str:
     if not head.startswith(b"\x7fELF"):
         return "" if head[:1].isascii() else f"{found} is no program that Linux executes"
     if len(head) < 64 or head[4] != 2 or head[18:20] != b"\x3e\x00":

@@ -23,7 +23,7 @@ class NoLibraryError(FleetError):
 
 
 @cache
-def compiled() -> tuple[Path, Path]:
+def compile_library() -> tuple[Path, Path]:
     """The library and the launcher.
 
     Returns:

@@ -11,7 +11,7 @@ import msgpack
 
 from fleet.errors import FleetError
 from fleet.scenario.schema.programs import path_of, struct_of
-from world.plugins.fence import shown
+from world.plugins.fence import show_value
 
 Reader = Callable[[str, bytes], float]  # of a message, by its key and its payload; raises NoNumber: it has none
 
@@ -32,7 +32,7 @@ def number_at(value: Any, path: list[str | int]) -> float:
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise NoNumber(f"expected a number, got {shown(value):.40}") from None
+        raise NoNumber(f"expected a number, got {show_value(value):.40}") from None
 
 
 def plain_reader(kind: str, text: str) -> Reader:
@@ -43,7 +43,7 @@ def plain_reader(kind: str, text: str) -> Reader:
         text: where the number is in them.
     """
     if kind == "struct":
-        return _of_struct(text)
+        return _struct_reader(text)
     path = path_of(text)
     decode: Callable[[bytes], Any] = _DECODERS[kind]
 
@@ -59,11 +59,11 @@ def plain_reader(kind: str, text: str) -> Reader:
     return read
 
 
-def _of_msgpack(payload: bytes) -> Any:
+def _decode_msgpack(payload: bytes) -> Any:
     return msgpack.unpackb(payload, strict_map_key=False)
 
 
-def _of_cbor(payload: bytes) -> Any:
+def _decode_cbor(payload: bytes) -> Any:
     try:
         import cbor2
     except ImportError:
@@ -71,10 +71,10 @@ def _of_cbor(payload: bytes) -> Any:
     return cbor2.loads(payload)
 
 
-_DECODERS: dict[str, Callable[[bytes], Any]] = {"json": json.loads, "msgpack": _of_msgpack, "cbor": _of_cbor}
+_DECODERS: dict[str, Callable[[bytes], Any]] = {"json": json.loads, "msgpack": _decode_msgpack, "cbor": _decode_cbor}
 
 
-def _of_struct(text: str) -> Callable[[str, bytes], float]:
+def _struct_reader(text: str) -> Callable[[str, bytes], float]:
     found = struct_of(text)
     assert found is not None  # the schema has read it
     layout, which = found

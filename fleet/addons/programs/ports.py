@@ -69,7 +69,7 @@ class Ports:
         """A socket is closed."""
         self._of.pop((process, _NUMBER.unpack(data)[0]), None)
 
-    def ended(self, process: int) -> None:
+    def on_process_ended(self, process: int) -> None:
         """A process has ended, or begins another executable."""
         for key in [key for key in self._of if key[0] == process]:
             del self._of[key]

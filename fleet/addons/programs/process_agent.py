@@ -17,7 +17,7 @@ from random import Random
 from typing import Any, ClassVar, NamedTuple
 
 from agents.api import AgentConfig, Delivery, FormationAgent, Nav, Said, Signal, Telemetry, Vec3
-from agents.packets import BEGIN, EVERYBODY, V4, Datagram, Fragments, Segment, node_address, read
+from agents.packets import BEGIN, EVERYBODY, V4, Datagram, DatagramAssembly, Segment, node_address, read
 from fleet.addons.programs.address_book import AddressBook
 from fleet.addons.programs.attachment import attachment
 from fleet.addons.programs.helpers import helper_command
@@ -37,7 +37,7 @@ from fleet.addons.programs.modem_beside import ModemBeside, is_for_modem, modem_
 from fleet.addons.programs.processes import EPOCH_NS, Process, Processes, ProgramEnded
 from fleet.addons.programs.shared_sockets import KINDS as SOCKET_KINDS
 from fleet.addons.programs.shared_sockets import SharedSockets
-from fleet.addons.programs.steering import Vehicle, navigation
+from fleet.addons.programs.steering import SteeredVehicle, navigation
 from fleet.addons.programs.streams import Streams
 from fleet.addons.programs.udp_ways import UdpWays
 from fleet.addons.programs.zenoh_messages import puts
@@ -126,9 +126,9 @@ class ProcessAgent:
         self._config, self._tick_ns = config, config.tick_ns
         words = {"id": config.id, "seed": config.seed, "zenoh": _ENDPOINT}
         given = ("{zenoh}" if word == "tcp/unused" else str(word) for word in arguments)  # scenarios of 1.0 say so
-        self._words = [_filled(word, words) for word in (*self.command, *given)]
+        self._words = [_fill_places(word, words) for word in (*self.command, *given)]
         self._environment = dict(self.variables) | {
-            key: _filled(str(value), words) for key, value in (env or {}).items()
+            key: _fill_places(str(value), words) for key, value in (env or {}).items()
         }
         self._words = self._all_words(words)
         folder = self.plugin_file.parent
@@ -159,8 +159,8 @@ class ProcessAgent:
             return self._words
         programs: list[Any] = [[self.plugin_file.name, self._words, {}, self.ends]]
         for each in self.together:
-            variables = {key: _filled(str(value), places) for key, value in each.environment.items()}
-            programs.append([each.name, [_filled(word, places) for word in each.command], variables, each.ends])
+            variables = {key: _fill_places(str(value), places) for key, value in each.environment.items()}
+            programs.append([each.name, [_fill_places(word, places) for word in each.command], variables, each.ends])
         files = [word for _, words, _, _ in programs for word in words if word.startswith("/")]
         return helper_command("fleet.addons.programs.several_programs", json.dumps(programs), *files)
 
@@ -310,14 +310,14 @@ class _Life:
         self._out: deque[bytes] = deque()
         # Fragments of a former life may still wait for the rest at others: a life that begins later has other numbers.
         self._queued, self._number = 0, Random(f"{config.seed}/{now_ns}").getrandbits(16) if now_ns else 0
-        self._fragments = Fragments()
+        self._fragments = DatagramAssembly()
         self.over = self._begun = False
         self._last_ns = 0
         self._config = config
         self._helper: int | None = None  # the family of the zenoh endpoint; None: nobody has asked for it
         self._wanted = any(_ENDPOINT in word for word in command)  # an endpoint; who names it is given it at once
         self._ready = False  # whether it listens
-        self.vehicle = Vehicle(config)
+        self.vehicle = SteeredVehicle(config)
         self.streams = Streams(
             config.id, lambda segment: self._put(segment.packed()), self._to_processes, self._unanswered
         )
@@ -461,12 +461,12 @@ class _Life:
         if kind == 83:  # S: a datagram
             self._send(process, data)
         elif kind in SOCKET_KINDS:
-            self.shared.told(process.pid, kind, data)
+            self.shared.on_message(process.pid, kind, data)
         elif kind != 76:  # L: one was lost, because its socket was full
             if kind == 0:
-                self.shared.ended(process)
+                self.shared.on_process_ended(process)
             self.streams.processes = self.processes.count
-            self.streams.told(process.pid, kind, data, self._book.agent, self.shared.is_held)
+            self.streams.on_message(process.pid, kind, data, self._book.agent, self.shared.is_held)
 
     def _send(self, process: Process, data: bytes) -> None:
         _, from_port, to_ip, to_port = _ADDRESSES.unpack_from(data)
@@ -555,6 +555,6 @@ _PLACE = re.compile(r"\{(id|seed|zenoh)\}")
 _ENDPOINT = f"tcp/127.0.0.1:{ZENOH_PORT}"
 
 
-def _filled(word: str, values: Mapping[str, Any]) -> str:
+def _fill_places(word: str, values: Mapping[str, Any]) -> str:
     """A word with its places filled in. Other braces stay: a program may be given JSON."""
     return _PLACE.sub(lambda found: str(values[found[1]]), word)

@@ -21,7 +21,7 @@ from time import monotonic
 from fleet.addons.programs.attachment import Attachment, start_gdb, take_terminal
 from fleet.addons.programs.home import Home
 from fleet.addons.programs.kernel import cpu_s, memory_kb, process_group, wait_for_end
-from fleet.addons.programs.library import compiled
+from fleet.addons.programs.library import compile_library
 from fleet.addons.programs.ports import Ports
 from fleet.addons.programs.program_output import ProgramOutput
 from fleet.errors import FleetError
@@ -174,7 +174,7 @@ class Processes:
         return process.family
 
     def _start(self, command: Sequence[str], environment: Mapping[str, str], out: int, err: int) -> Process:
-        library, launcher = compiled()
+        library, launcher = compile_library()
         ours, its = socket.socketpair()
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _LOOK)
@@ -215,8 +215,6 @@ class Processes:
             *numbers, process.pid, process.parent or 1, self._agent, prefix, self._agents, self._flags
         )
         return head + b"\0".join([os.fsencode(self._home.path), *map(os.fsencode, self._visible)]) + b"\0\0"
-
-    # What the agent calls.
 
     def advance(self, until_ns: int, before_last: Callable[[], object] | None = None) -> None:
         """Let time pass up to a moment, each timer at its own. What was sent before comes at the first one.
@@ -352,7 +350,7 @@ class Processes:
         if kind == 72:  # H: the library is loaded
             process.began = True
             self._debug(process)
-            self._ports.ended(process.pid)
+            self._ports.on_process_ended(process.pid)
             if process.executions:
                 self._told(process, 0, b"")  # its sockets are not known to what it executes
             self._answer(process, b"J" + self._configuration(process))
@@ -416,7 +414,7 @@ class Processes:
         process.alive = False
         process.channel.close()
         self._told(process, 0, b"")
-        self._ports.ended(process.pid)
+        self._ports.on_process_ended(process.pid)
         self._processes.pop(process.pid, None)
         if process is self._first:
             self.status = self._popens[0].wait()

@@ -37,7 +37,7 @@ NS = 10**9
 _AXES = ((1, 1.0, 0), (0, 1.0, 1), (2, -1.0, 2), (3, -1.0, 5))
 
 
-def turned(x: float, y: float, z: float) -> tuple[float, float, float]:
+def half_turn(x: float, y: float, z: float) -> tuple[float, float, float]:
     """Forward, starboard, down as forward, port, up, and back: a half turn."""
     return x, -y, -z
 
@@ -75,8 +75,8 @@ def odometry(told: Mapping[str, Any], number: int, epoch_s: int) -> Any:
     north, east, down = map(float, told["position"])
     _set(pose.position, "xyz", (east, north, -down))
     _set(pose.orientation, "xyzw", attitude(told["theta"], told["psi"], told.get("phi", 0.0)))
-    _set(twist.linear, "xyz", turned(*map(float, told["velocity"])))
-    _set(twist.angular, "xyz", turned(*map(float, (told.get("p", 0.0), told["q"], told["r"]))))
+    _set(twist.linear, "xyz", half_turn(*map(float, told["velocity"])))
+    _set(twist.angular, "xyz", half_turn(*map(float, (told.get("p", 0.0), told["q"], told["r"]))))
     if told.get("covariance"):
         message.pose.covariance = covariance(told["covariance"])
     return message
@@ -90,14 +90,14 @@ def _set(message: Any, names: str, values: Iterable[float]) -> None:
 def wrench_command(message: Any) -> dict[str, float]:
     """What a wrench commands."""
     wrench = getattr(message, "wrench", message)
-    _, pitch, yaw = turned(0.0, wrench.torque.y, wrench.torque.z)
+    _, pitch, yaw = half_turn(0.0, wrench.torque.y, wrench.torque.z)
     return {"force": wrench.force.x, "pitch": pitch, "yaw": yaw}
 
 
 def velocity_command(message: Any) -> dict[str, float]:
     """What a twist commands."""
     twist = getattr(message, "twist", message)
-    _, pitch, yaw = turned(0.0, twist.angular.y, twist.angular.z)
+    _, pitch, yaw = half_turn(0.0, twist.angular.y, twist.angular.z)
     return {"surge": twist.linear.x, "pitch_rate": pitch, "yaw_rate": yaw}
 
 
@@ -126,7 +126,7 @@ class Commands:
         self._subscription = self._node.create_subscription(self._types[new], self._topic, self._hear, qos)
 
 
-class Vehicle:
+class RosVehicle:
     """Tells where the vehicle is, and hears what it is to do."""
 
     def __init__(self, number: int) -> None:
@@ -165,7 +165,7 @@ def main() -> None:
     for name in ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"):
         os.environ.pop(name, None)
     rclpy.init(args=sys.argv)
-    vehicle = Vehicle(int(sys.argv[1]))
+    vehicle = RosVehicle(int(sys.argv[1]))
     threading.Thread(target=vehicle.tell, daemon=True).start()
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(vehicle.node)

@@ -41,7 +41,7 @@ class SharedSockets:
         self._send, self._close, self._change_owner = send, close, change_owner
         self._sockets: dict[int, _Shared] = {}
 
-    def told(self, process: int, kind: int, data: bytes) -> None:
+    def on_message(self, process: int, kind: int, data: bytes) -> None:
         """Take a message of one of `KINDS` of a process."""
         if kind == SHARED:
             child = int.from_bytes(data[:4], "little")
@@ -65,7 +65,7 @@ class SharedSockets:
             shared.holders.discard(process)
             self._free_if_nobody_has(number, shared)
 
-    def ended(self, process: Process) -> None:
+    def on_process_ended(self, process: Process) -> None:
         """A process has ended, or executes something else: it has no sockets any more."""
         for number, shared in list(self._sockets.items()):
             shared.holders.discard(process.pid)

@@ -29,7 +29,7 @@ def navigation(nav: Nav, now_ns: int) -> bytes:
     return json.dumps(values).encode()
 
 
-class Vehicle:
+class SteeredVehicle:
     """What a program commands; the last command holds."""
 
     def __init__(self, config: AgentConfig) -> None:

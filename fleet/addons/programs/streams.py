@@ -26,7 +26,7 @@ Deliver = Callable[[int, bytes, int], None]  # to a process: kind, bytes, its nu
 
 
 @dataclass
-class End:
+class StreamEnd:
     """One end of a connection."""
 
     owner: int  # number of the process that has it
@@ -78,14 +78,12 @@ class Streams:
         """
         self._agent, self._send, self._deliver, self._unanswered = agent, send, deliver, unanswered
         self._waiting: dict[int, bytes] = {}  # calls of own processes that wait for somebody who listens
-        self._ends: dict[int, End] = {}
+        self._ends: dict[int, StreamEnd] = {}
         self._calls: dict[int, int] = {}  # by connection that is asked for: processes that have not refused it yet
         self.now_ns = 0
         self.processes = 1  # how many the program has
 
-    # What the program's library tells.
-
-    def told(
+    def on_message(
         self,
         process: int,
         kind: int,
@@ -139,7 +137,7 @@ class Streams:
     def _connect(self, process: int, data: bytes, agent_of: Callable[[bytes, int], int | None]) -> None:
         connection, _, from_port, to_ip, to_port = _CALL.unpack(data)
         agent = agent_of(to_ip, to_port)
-        end = End(process, connection, agent or 0, from_port, to_port, to_ip[:12] != V4)
+        end = StreamEnd(process, connection, agent or 0, from_port, to_port, to_ip[:12] != V4)
         self._ends[connection] = end
         if agent is None:
             self._fail(end, errno.EHOSTUNREACH)
@@ -149,10 +147,10 @@ class Streams:
             end.tries, end.due_ns = 1, self.now_ns + end.rto_ns
             self._put(end, SYN)
 
-    def _call_own(self, end: End, call: bytes) -> None:
+    def _call_own(self, end: StreamEnd, call: bytes) -> None:
         other = end.connection | 1
         self._calls[other] = self.processes
-        self._ends[other] = End(0, other, self._agent, end.to_port, end.from_port, end.v6, stands=True)
+        self._ends[other] = StreamEnd(0, other, self._agent, end.to_port, end.from_port, end.v6, stands=True)
         self._waiting[end.connection] = call
         self._deliver(65, other.to_bytes(8, "little") + call[8:], 0)
 
@@ -191,15 +189,15 @@ class Streams:
         else:
             self._put(end, RST)
 
-    def _tell(self, end: End, kind: int, data: bytes = b"") -> None:
+    def _tell(self, end: StreamEnd, kind: int, data: bytes = b"") -> None:
         self._deliver(kind, end.connection.to_bytes(8, "little") + data, end.owner)
 
-    def _fail(self, end: End, error: int) -> None:
+    def _fail(self, end: StreamEnd, error: int) -> None:
         self._ends.pop(end.connection, None)
         if not end.closed:
             self._tell(end, 69, error.to_bytes(4, "little"))
 
-    def _write(self, end: End, data: bytes) -> None:
+    def _write(self, end: StreamEnd, data: bytes) -> None:
         if end.agent == self._agent:
             other = self._ends.get(end.connection ^ 1)
             if other is None or other.closed:
@@ -214,11 +212,11 @@ class Streams:
         end.unsent += data
         self._pump(end)
 
-    def _acknowledge(self, end: End, size: int) -> None:
+    def _acknowledge(self, end: StreamEnd, size: int) -> None:
         if not end.closed:
             self._tell(end, 81, size.to_bytes(4, "little"))
 
-    def _finish(self, end: End) -> None:
+    def _finish(self, end: StreamEnd) -> None:
         if end.ends_at is not None:
             return
         end.ends_at = end.first + len(end.unsent)
@@ -227,7 +225,7 @@ class Streams:
         elif other := self._ends.get(end.connection ^ 1):
             self._tell(other, 90)
 
-    def _waits(self, end: End, size: int) -> None:
+    def _waits(self, end: StreamEnd, size: int) -> None:
         was, end.waiting = end.waiting, size
         if end.agent != self._agent:
             if was >= WINDOW // 2 > size:
@@ -236,7 +234,7 @@ class Streams:
             self._acknowledge(other, other.owed)
             other.owed = 0
 
-    def _close(self, end: End, unread: bool) -> None:
+    def _close(self, end: StreamEnd, unread: bool) -> None:
         end.closed = True
         if end.agent == self._agent:
             other = self._ends.get(end.connection ^ 1)
@@ -253,8 +251,6 @@ class Streams:
         else:
             self._finish(end)
             self._forget_if_done(end)
-
-    # What comes from other agents.
 
     def hear(self, src: int, segment: Segment) -> None:
         """Take a segment. `src`: the agent that has sent it."""
@@ -280,18 +276,18 @@ class Streams:
                 self._arrived(end, segment)
             self._forget_if_done(end)
 
-    def _called(self, src: int, segment: Segment, end: End | None) -> None:
+    def _called(self, src: int, segment: Segment, end: StreamEnd | None) -> None:
         if end is not None:
             if end.stands and end.connection not in self._calls:
                 self._put(end, SYN_ACK)
             return
-        end = End(0, segment.connection, src, segment.to_port, segment.from_port, segment.v6)
+        end = StreamEnd(0, segment.connection, src, segment.to_port, segment.from_port, segment.v6)
         self._ends[end.connection] = end
         self._calls[end.connection] = max(1, self.processes)
         own, other = node_address(self._agent, segment.v6), node_address(src, segment.v6)
         self._deliver(65, _CALL.pack(end.connection, other, segment.from_port, own, segment.to_port), 0)
 
-    def _acknowledged(self, end: End, segment: Segment) -> None:
+    def _acknowledged(self, end: StreamEnd, segment: Segment) -> None:
         end.window = segment.window
         size = segment.acknowledged - end.first
         if size > 0:
@@ -315,14 +311,14 @@ class Streams:
                 self._again(end)
         self._pump(end)
 
-    def _measure(self, end: End, took_ns: int) -> None:
+    def _measure(self, end: StreamEnd, took_ns: int) -> None:
         if not end.smooth_ns:
             end.smooth_ns, end.deviation_ns = took_ns, took_ns // 2
         else:
             end.deviation_ns = (3 * end.deviation_ns + abs(end.smooth_ns - took_ns)) // 4
             end.smooth_ns = (7 * end.smooth_ns + took_ns) // 8
 
-    def _arrived(self, end: End, segment: Segment) -> None:
+    def _arrived(self, end: StreamEnd, segment: Segment) -> None:
         if segment.kind == FIN:
             end.end_at = segment.sequence
         elif segment.sequence < end.expected + 2 * WINDOW:
@@ -339,16 +335,14 @@ class Streams:
                 self._tell(end, 90)
         self._put(end, DATA)
 
-    # Sending.
-
-    def _put(self, end: End, kind: int, sequence: int | None = None, data: bytes = b"") -> None:
+    def _put(self, end: StreamEnd, kind: int, sequence: int | None = None, data: bytes = b"") -> None:
         window = max(0, WINDOW - end.waiting)
         at = end.next if sequence is None else sequence
         # The other end's number of the connection differs in its last bit.
         ports, other = (end.from_port, end.to_port), end.connection ^ 1
         self._send(Segment(end.agent, *ports, kind, other, at, end.expected, window, end.v6, data))
 
-    def _pump(self, end: End) -> None:
+    def _pump(self, end: StreamEnd) -> None:
         most = 1440 if end.v6 else 1460
         last = end.first + len(end.unsent)
         while end.stands and end.next < last and end.next < end.first + min(end.window, WINDOW):
@@ -363,7 +357,7 @@ class Streams:
         if end.due_ns is None and (end.first < end.next or (end.unsent and end.stands)):
             end.due_ns = self.now_ns + end.rto_ns  # also to ask a closed window again
 
-    def _again(self, end: End) -> None:
+    def _again(self, end: StreamEnd) -> None:
         """Send the first segment that is not acknowledged once more."""
         end.timed = None  # Karn: what was sent twice measures nothing
         if end.unsent:
@@ -389,7 +383,7 @@ class Streams:
             else:
                 self._put(end, SYN)
 
-    def _forget_if_done(self, end: End) -> None:
+    def _forget_if_done(self, end: StreamEnd) -> None:
         """Both directions have ended, and all is acknowledged."""
         done = end.ends_at is not None and end.first > end.ends_at
         if done and end.closed and end.end_at is not None and end.expected > end.end_at:
@@ -403,7 +397,7 @@ class Streams:
         return any(end.due_ns is not None for end in self._ends.values())
 
 
-def _time_out(end: End) -> int:
+def _time_out(end: StreamEnd) -> int:
     if not end.smooth_ns:
         return FIRST_RTO_NS
     return min(MOST_RTO_NS, max(LEAST_RTO_NS, end.smooth_ns + 4 * end.deviation_ns))

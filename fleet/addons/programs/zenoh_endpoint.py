@@ -58,7 +58,9 @@ class _Straight(Inlet):
 
 
 class ZenohEndpoint:
-    """The endpoint of one agent. Threads of zenoh and the thread that hears the water share it."""
+    """The endpoint of one agent. Threads of zenoh, which bring what the agent's own programs say, and the thread that
+    hears the water share it.
+    """
 
     def __init__(
         self,
@@ -115,8 +117,6 @@ class ZenohEndpoint:
     def busy(self) -> bool:
         """Whether there are tokens, so that `tick` has something to do."""
         return bool(self._own_tokens or self._shown or monotonic_ns() < self._tokens_end_ns)
-
-    # What the own programs say; on a thread of zenoh.
 
     def _take(self, item: Any) -> None:
         if isinstance(item, Token):
@@ -180,8 +180,6 @@ class ZenohEndpoint:
         number = self._numbers.pop(ticket, 0)
         self._tickets.pop(number, None)
         ticket.end()
-
-    # What comes from the water.
 
     def _send(self, message: list[Any], to: int | None = None) -> None:
         data = msgpack.packb(message)
@@ -251,13 +249,13 @@ class ZenohEndpoint:
                 reply = SimpleNamespace(ok=ok)
             answer(RobotMessage(src, REPLY, key, payload, now_ns, (ticket, reply)), payload)
             with self._lock:
-                self._queries.arrived(ticket, src)
+                self._queries.on_reply(ticket, src)
         elif kind == MessageKind.END:
             number, replies = rest
             with self._lock:
                 if (ticket := self._tickets.get(number)) is not None and src not in ticket.ended:
-                    self._queries.sent(ticket, src, replies)
-                    self._queries.ended(ticket, src)
+                    self._queries.add_replies(ticket, src, replies)
+                    self._queries.on_robot_ended(ticket, src)
         elif kind == MessageKind.TOKENS:
             with self._lock:
                 self._heard_ns[src] = now_ns

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
-from fleet.cli.companion import Beside, Companion
+from fleet.cli.companion import Companion, RunCompanion
 from fleet.option import Option
 from fleet.processes.side_process import begin, end, line_of, pipe
 from fleet.terminal.width import say
@@ -45,7 +45,7 @@ class Bridge(Companion):
         return replace(how, publish=True)
 
     @contextmanager
-    def beside(self, how: Options) -> Iterator[Beside]:
+    def start(self, how: Options) -> Iterator[RunCompanion]:
         """The bridge, which begins when the run is published. Raises FleetError: the extra is not installed."""
         from fleet.addons.robots.ros2.types import types_of
 
@@ -54,13 +54,13 @@ class Bridge(Companion):
             yield bridge
 
 
-class BridgeProcess(Beside):
+class BridgeProcess(RunCompanion):
     """The bridge of `fleet run --ros2`: `fleet ros2` in a process of its own, which ends with the run."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
 
-    def published(self, directory: Path) -> None:
+    def on_run_published(self, directory: Path) -> None:
         """Start it, and wait until nodes can see the run. If they cannot, the run goes on without it."""
         # It ends with the run's publisher.
         streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE}

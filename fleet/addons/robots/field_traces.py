@@ -116,7 +116,7 @@ def trace_of(arrivals: Sequence[RecordedMessage], numbers: Sequence[int], zero_n
     first_copies: dict[int, RecordedMessage] = {}
     for number, arrival in zip(numbers, arrivals, strict=True):
         first_copies.setdefault(number, arrival)
-    columns = ("time", "delivered", *(("delay",) if _stamped(arrivals) else ()))
+    columns = ("time", "delivered", *(("delay",) if _has_send_times(arrivals) else ()))
     rows: list[TraceRow] = []
     last = before_ns = 0  # of the message before
     for number, arrival in sorted(first_copies.items()):
@@ -151,7 +151,7 @@ def summary(table: TraceTable) -> str:
     return f"{text}; delay {median:.4g} ms (median), {late:.4g} ms (95 %)"
 
 
-def _stamped(arrivals: Sequence[RecordedMessage]) -> bool:
+def _has_send_times(arrivals: Sequence[RecordedMessage]) -> bool:
     """Whether there are times of sending: without them both times are equal."""
     return any(arrival.sent_ns != arrival.at_ns for arrival in arrivals)
 

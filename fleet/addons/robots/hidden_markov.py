@@ -1,4 +1,27 @@
-"""Hidden Markov models of a link: each hidden state has a probability of loss, and a delay, of its own."""
+"""Hidden Markov models of a link: each hidden state has a probability of loss, and a delay, of its own.
+
+With two states and losses alone this is the model of Gilbert (1960) and Elliott (1963). The parameters are fitted by
+expectation maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, equations 37 to 40).
+
+| symbol | meaning | shape |
+|---|---|---|
+| N, S | packets, states | |
+| y_n | whether packet n was lost | (N,) |
+| d_n | delay of packet n; nan: not known, as of one that was lost | (N,) |
+| A | A_ij: probability that the next packet meets state j, after one in state i | (S, S) |
+| e | probability that a packet is lost in each state | (S,) |
+| mu, sd | mean and standard deviation of the delay in each state | (S,) |
+| b_ni | probability (density) of what is known of packet n in state i | (N, S) |
+| pi | distribution of the state one packet before the first | (S,) |
+| gamma_ni | probability of state i at packet n, given all packets | (N, S) |
+
+Delays must take part: found by losses alone, states mix packets of both, and the long delays of a bad state are
+averaged away. The delay of a state is normal, as that of the condition is; a heavy tail takes a state of its own.
+
+The recursions run over blocks of about sqrt(N) packets. A block maps the distribution before it to the one after it
+by a matrix. So all blocks advance together, and only their matrices are applied one after the other. (hmmlearn has
+neither this mixed emission nor missing values: we should write all but the recursions, and need scikit-learn.)
+"""
 
 from __future__ import annotations
 
@@ -7,29 +30,6 @@ from math import isqrt, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-
-# With two states and losses alone this is the model of Gilbert (1960) and Elliott (1963). The parameters are fitted by
-# expectation maximisation (Baum and Welch; L. R. Rabiner, Proceedings of the IEEE 77, 1989, equations 37 to 40).
-#
-# | symbol | meaning | shape |
-# |---|---|---|
-# | N, S | packets, states | |
-# | y_n | whether packet n was lost | (N,) |
-# | d_n | delay of packet n; nan: not known, as of one that was lost | (N,) |
-# | A | A_ij: probability that the next packet meets state j, after one in state i | (S, S) |
-# | e | probability that a packet is lost in each state | (S,) |
-# | mu, sd | mean and standard deviation of the delay in each state | (S,) |
-# | b_ni | probability (density) of what is known of packet n in state i | (N, S) |
-# | pi | distribution of the state one packet before the first | (S,) |
-# | gamma_ni | probability of state i at packet n, given all packets | (N, S) |
-#
-# Delays must take part: found by losses alone, states mix packets of both, and the long delays of a bad state are
-# averaged away. The delay of a state is normal, as that of the condition is; a heavy tail takes a state of its own.
-#
-# The recursions run over blocks of about sqrt(N) packets. A block maps the distribution before it to the one after it
-# by a matrix. So all blocks advance together, and only their matrices are applied one after the other. (hmmlearn has
-# neither this mixed emission nor missing values: we should write all but the recursions, and need scikit-learn.)
-
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 _FIRST_STEPS, _MOST_STEPS = 30, 500  # from every place where the search begins; from the best of them
@@ -152,9 +152,9 @@ def _improve(
         if likelihood - before < _ENOUGH or step == steps:
             break
         before = likelihood
-        moves = _normalised(pairs)
+        moves = _normalise(pairs)
         loses = np.clip(lost @ posterior / posterior.sum(axis=0), _LEAST, 1.0 - _LEAST)
-        first = _normalised(first_after)
+        first = _normalise(first_after)
         if delays is not None:
             delays = _delays(delay[known], posterior[known], narrowest)
     return HiddenMarkov(moves, loses, first, delays, likelihood, posterior)
@@ -179,7 +179,7 @@ def _delays(known: Array, weights: Array, narrowest: float) -> _Delays:
     return _Delays(mean, np.maximum(np.sqrt(variance), narrowest))
 
 
-def _normalised(weights: Array) -> Array:
+def _normalise(weights: Array) -> Array:
     raised = np.maximum(weights, _LEAST)
     normalised: Array = raised / raised.sum(axis=-1, keepdims=True)
     return normalised

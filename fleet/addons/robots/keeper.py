@@ -47,7 +47,7 @@ def _give_up(*_: object) -> None:
     raise TimeoutError
 
 
-def _sent(pid: int, number: int) -> bool:
+def _send_signal(pid: int, number: int) -> bool:
     """Whether a process could be sent a signal, or is gone: that of another user, as `sudo` starts one, cannot."""
     try:
         os.kill(pid, number)
@@ -66,8 +66,8 @@ class Keeper:
         self.stopping = False
         self._out = bytearray()
         self._selector = selectors.DefaultSelector()
-        self._programs = [Program(self, values) for values in programs]
-        self._by_pid: dict[int, Program] = {}
+        self._programs = [KeptProgram(self, values) for values in programs]
+        self._by_pid: dict[int, KeptProgram] = {}
         self._commands = b""
         self._marked_ns = 0
         self._waits = Waits()
@@ -102,7 +102,7 @@ class Keeper:
         """Tell the console something. What does not fit into the pipe waits here, and holds up no program."""
         self._out += json.dumps(values).encode() + b"\n"
 
-    def began(self, program: Program, output: int) -> None:
+    def began(self, program: KeptProgram, output: int) -> None:
         """Read what a program prints, and notice its end."""
         self._by_pid[program.process.pid] = program
         self._selector.register(output, selectors.EVENT_READ, program.read)
@@ -152,7 +152,7 @@ class Keeper:
     def _end_all(self) -> None:
         """Kill everything that was started here, also what has left the session of its program."""
         while pids := list(descendants([os.getpid()])):
-            sent = [_sent(pid, signal.SIGKILL) for pid in pids]
+            sent = [_send_signal(pid, signal.SIGKILL) for pid in pids]
             if not any(sent):
                 return  # they are another user's
             with suppress(ChildProcessError):
@@ -174,7 +174,7 @@ class Waits:
         self._trees: dict[str, list[int]] = {}  # by node
         self._known: dict[tuple[int, int], tuple[int, int]] | None = None  # by process and thread: waited [ns], slices
 
-    def look(self, programs: list[Program]) -> dict[str, int]:
+    def look(self, programs: list[KeptProgram]) -> dict[str, int]:
         """By node of which some thread ran since the last look: the longest that one of them has waited [ns]."""
         now = monotonic_ns()
         if now < self._next_ns:
@@ -211,7 +211,7 @@ def _threads(pids: list[int]) -> Iterator[tuple[tuple[int, int], tuple[int, int]
                 yield (pid, int(thread)), (waited_ns, slices)
 
 
-class Program:
+class KeptProgram:
     """One program, life after life."""
 
     def __init__(self, keeper: Keeper, values: dict[str, Any]) -> None:
@@ -265,7 +265,7 @@ class Program:
         elif self.process is not None and not self._killed and paused != self._paused:
             self._paused = paused
             for pid in self._tree():
-                _sent(pid, signal.SIGSTOP if paused else signal.SIGCONT)
+                _send_signal(pid, signal.SIGSTOP if paused else signal.SIGCONT)
             self._keeper.say(at=now, **{"paused" if paused else "resumed": self.name})
         changes = [at for spans in (self._dead, self._held) for span in spans for at in span if at and at > now]
         return min([*changes, self._look_ready(now)], default=now + 10**9)
@@ -415,7 +415,7 @@ class Program:
             self._close()
         now, killed = monotonic_ns(), self._killed
         for pid in self._tree():  # what it leaves behind would speak in its name
-            _sent(pid, signal.SIGKILL)
+            _send_signal(pid, signal.SIGKILL)
         self.process.returncode = code
         self.process = None
         if killed:
@@ -430,7 +430,7 @@ class Program:
 
     def _kill(self) -> None:
         for pid in self._tree():
-            _sent(pid, signal.SIGKILL)
+            _send_signal(pid, signal.SIGKILL)
 
     def _tree(self) -> list[int]:
         """Its process and all that it has started, as far as it stays in its session or below it."""

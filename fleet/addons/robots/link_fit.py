@@ -78,7 +78,7 @@ def fit(table: TraceTable, count: int, interval_ns: int | None = None) -> LinkFi
     model, independent = fit_states(lost, delay, count), fit_states(lost, delay, 1)
     generator, lag = _generator(model)
     leave = np.maximum(-np.diag(generator), _FAST)
-    mean = [min(_MOST_DAYS_NS, _rounded(interval / rate)) for rate in leave.tolist()]
+    mean = [min(_MOST_DAYS_NS, _round_ns(interval / rate)) for rate in leave.tolist()]
     following = np.maximum(generator / leave[:, None], 0.0) * (1.0 - np.eye(count))
     following /= np.maximum(following.sum(axis=1, keepdims=True), 1e-12)
     return LinkFit(
@@ -140,7 +140,7 @@ def _conditions(table: TraceTable, model: HiddenMarkov) -> tuple[Condition, ...]
     for state in range(model.states):
         delay, jitter = _moments(columns["delay"], model.posterior[:, state])
         rate, _ = _moments(columns["rate"], model.posterior[:, state])
-        delay_ns, jitter_ns = _rounded(delay, 10**4), _rounded(jitter, 10**4)
+        delay_ns, jitter_ns = _round_ns(delay, 10**4), _round_ns(jitter, 10**4)
         found.append(
             Condition(
                 delay_ns=delay_ns,
@@ -162,7 +162,7 @@ def _moments(values: Array, weights: Array) -> tuple[float, float]:
     return mean, float(np.sqrt(np.average((values[known] - mean) ** 2, weights=weights[known])))
 
 
-def _rounded(ns: float, least: int = 1) -> int:
+def _round_ns(ns: float, least: int = 1) -> int:
     """A time with four significant digits, in steps of `least` ns at least."""
     step: int = max(least, 10 ** max(0, len(str(int(ns))) - 4))
     return round(ns / step) * step

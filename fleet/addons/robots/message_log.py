@@ -26,21 +26,21 @@ class MessageLog:
         self._channels: dict[tuple[int, str, str, str], int] = {}
         self._count = 0
 
-    def write(self, said: LoggedMessage) -> None:
+    def write(self, message: LoggedMessage) -> None:
         """Append a message at the time at which it came. Raises LogError."""
-        name = said.src, said.key, said.kind, said.encoding
+        name = message.src, message.key, message.kind, message.encoding
         if name not in self._channels:
             if len(self._channels) >= _MOST_CHANNELS:
                 return
-            self._channels[name] = self._channel(said)
-        at_ns = said.tick * self._tick_ns
+            self._channels[name] = self._channel(message)
+        at_ns = message.tick * self._tick_ns
         self._count += 1
-        self._log.message(self._channels[name], at_ns, at_ns, self._count & 0xFFFFFFFF, said.payload)
+        self._log.message(self._channels[name], at_ns, at_ns, self._count & 0xFFFFFFFF, message.payload)
 
-    def _channel(self, said: LoggedMessage) -> int:
-        robot, entity = self._names[said.src - 1], read_key(said.key)
-        metadata = {"zenoh.key": said.key, "zenoh.kind": said.kind, "zenoh.encoding": said.encoding}
-        if entity is not None and said.kind == "put":
+    def _channel(self, message: LoggedMessage) -> int:
+        robot, entity = self._names[message.src - 1], read_key(message.key)
+        metadata = {"zenoh.key": message.key, "zenoh.kind": message.kind, "zenoh.encoding": message.encoding}
+        if entity is not None and message.kind == "put":
             topic = f"{robot}{entity.name}"
             with suppress(FleetError):  # without the extra a message has its bytes and no schema
                 types = types_of()
@@ -48,7 +48,7 @@ class MessageLog:
                     schema = entity.type, "ros2msg", types.definition(entity.type).encode()
                     return self._log.other_channel(topic, "cdr", schema, metadata)
             return self._log.other_channel(topic, "application/cdr", None, metadata)
-        return self._log.other_channel(f"{robot}/{said.key}", message_encoding(said.encoding), None, metadata)
+        return self._log.other_channel(f"{robot}/{message.key}", message_encoding(message.encoding), None, metadata)
 
 
 def place_of(key: str, payload: bytes) -> tuple[float, float, float, float]:

@@ -16,10 +16,10 @@ def reader(section: StackSignalSection) -> Reader:
     if kind != "ros":
         return plain_reader(kind, text)
     path = path_of(text)
-    return lambda key, payload: number_at(_of_ros(key, payload), path)
+    return lambda key, payload: number_at(_decode_ros(key, payload), path)
 
 
-def _of_ros(key: str, payload: bytes) -> Any:
+def _decode_ros(key: str, payload: bytes) -> Any:
     entity = read_key(key)
     if entity is None:
         raise NoNumber(f"{key:.80} is no topic of ROS 2")

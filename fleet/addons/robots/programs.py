@@ -24,13 +24,13 @@ from fleet.analysis.command_lines import search_path
 from fleet.analysis.verdicts import NOTHING_AT_ALL
 from fleet.errors import RunBroken
 from fleet.execution.notes import some
-from fleet.processes.child_start import for_programs
+from fleet.processes.child_start import program_environment
 from fleet.processes.children import describe_exit
 from fleet.result.verdict import Verdict
 from fleet.scenario.faults.kind import Kill, Part
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.schema.programs import DONE, ProgramSection, filled, programs_of, wanted
-from fleet.scenario.sections.node_signals import told_by
+from fleet.scenario.schema.programs import DONE, ProgramSection, expected_ending, fill_placeholders, programs_of
+from fleet.scenario.sections.node_signals import signals_of_node
 from netem.fault_kinds import WorldFaultKind
 from netem.histogram import Histogram
 from netem.namespaces import address
@@ -67,7 +67,7 @@ class ProgramState:
         return self.pid is not None
 
 
-class Ended(NamedTuple):
+class ProgramChange(NamedTuple):
     """A program has ended by itself, or has begun again after that."""
 
     at_ns: int
@@ -92,7 +92,7 @@ class Programs:
             name: ProgramState(name, nodes.index(node) + 1, section)
             for name, node, section in programs_of(spec.programs or {}, nodes)
         }
-        self._signals = {i: told_by(spec, i) for i in range(1, len(nodes) + 1)}
+        self._signals = {i: signals_of_node(spec, i) for i in range(1, len(nodes) + 1)}
         self._values: dict[int, list[float]] = {}
         self._counts: dict[int, list[int]] = {}
         for i in self._signals:
@@ -112,7 +112,7 @@ class Programs:
         self._spoken: set[str] = set()  # the signals of which some node has told a number
         self.cpu_s = 0.0
         self._waits: dict[str, Histogram] = {}  # for a processor, by node
-        self.said: list[Ended] = []  # since the last frame
+        self.changes: list[ProgramChange] = []  # since the last frame
         self._over_ns = 2**63
         self._sessions: set[int] = set()  # of all programs that were started: each is the leader of one
         self._stubborn: list[str] = []  # programs that had to be killed when they were to stop
@@ -138,9 +138,7 @@ class Programs:
                 self._meanings.append(("ready", state.node, 0, state.name))
 
     def _filled(self, text: str, node: int) -> str:
-        return filled(text, {"node": self._scenario.nodes[node - 1], "number": node})
-
-    # Before the run begins.
+        return fill_placeholders(text, {"node": self._scenario.nodes[node - 1], "number": node})
 
     def start(
         self,
@@ -200,7 +198,7 @@ class Programs:
             "begin_s": f"{begin_ns / 1e9:.3f}", "duration_s": f"{self._scenario.duration_ns / 1e9:g}",
             "dir": self._directory, "domain": os.environ.get("ROS_DOMAIN_ID", "0"),
         }  # fmt: skip
-        env = for_programs(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
+        env = program_environment(os.environ) | {f"FLEET_{key.upper()}": str(value) for key, value in known.items()}
         env["PATH"] = search_path()
         env |= {"PYTHONUNBUFFERED": "1", "ROS_DOMAIN_ID": str(known["domain"])}
         if listen:
@@ -208,12 +206,12 @@ class Programs:
                 "RMW_IMPLEMENTATION": "rmw_zenoh_cpp",
                 "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{listen}"]',
             }
-        env |= {key: filled(text, known) for key, text in section.env.items()}
+        env |= {key: fill_placeholders(text, known) for key, text in section.env.items()}
         told = self._signals[state.node].values()
         lines = [(n, each.line, bool(each.count)) for n, each in enumerate(told) if each.line is not None]
         return {
-            "name": state.name, "node": node, "argv": [filled(word, known) for word in section.run], "env": env,
-            "folder": section.folder or ".", "nice": section.nice, "signals": lines,
+            "name": state.name, "node": node, "argv": [fill_placeholders(word, known) for word in section.run],
+            "env": env, "folder": section.folder or ".", "nice": section.nice, "signals": lines,
             "log": str(self._log_of(state)),
             "line": _NEVER if ready.token or ready.key else ready.line, "port": ready.port, "after_ns": ready.after,
             "stop": section.stop.signal, "stop_within_ns": section.stop.within,
@@ -244,8 +242,6 @@ class Programs:
         self.begin_ns = wanted_ns
         self._tell(begin=wanted_ns)
         return wanted_ns
-
-    # While it goes on.
 
     def hear(self) -> None:
         """Take what the keeper says. Raises RunBroken: it is gone."""
@@ -335,7 +331,7 @@ class Programs:
 
     def _starts(self, state: ProgramState, pid: int, at_ns: int) -> None:
         if state.ended:
-            self.said.append(Ended(at_ns, state.node, begins=True))
+            self.changes.append(ProgramChange(at_ns, state.node, begins=True))
         state.pid, state.since_ns, state.ready, state.ended = pid, at_ns, False, ""
         self._sessions.add(pid)
         self._forget(state.node)
@@ -360,11 +356,11 @@ class Programs:
         state.ended = f"{how} at {at_s:.2f} s"
         if self._is_fine(state):
             return
-        self.said.append(Ended(at_ns, state.node))
+        self.changes.append(ProgramChange(at_ns, state.node))
         self._print("\n".join([f"{state.name} {how} at t = {at_s:.2f} s", *self._tail_of(state, FEW_LINES)]))
 
     def _wanted(self, state: ProgramState) -> str:
-        return wanted(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
+        return expected_ending(self._scenario.spec.checks.programs, state.name, self._scenario.nodes[state.node - 1])
 
     def _is_fine(self, state: ProgramState) -> bool:
         return self._wanted(state) == DONE and state.code == 0
@@ -415,8 +411,6 @@ class Programs:
     def again(self, node: int) -> None:
         """Start the programs of a node again that have ended by themselves."""
         self._tell(again=self._scenario.nodes[node - 1])
-
-    # The end.
 
     def ends_at(self, at_ns: int) -> None:
         """The run is over at a time [ns]: what ends later is no failure."""

@@ -161,8 +161,6 @@ class RelayRun:
         self.deaths: dict[int, list[str]] = {}
         self.waiting = ""
 
-    # --- a runner
-
     def serve(self, policy: GrantPolicy, progress: Callable[[], None]) -> None:
         """Run to the end, or until the operator or Ctrl-C ends it, which is how most runs end. Raises RunBroken: the
         relay ended, or could not begin; StoppedError, KeyboardInterrupt: it was ended before t = 0, so there is nothing
@@ -308,8 +306,6 @@ class RelayRun:
         progress()
         return True
 
-    # --- what the relay says
-
     def _received(self) -> bytes:
         try:
             return self._pipe.recv_bytes()
@@ -328,8 +324,8 @@ class RelayRun:
         self._programs.see(report.watched)
         if report.until < 0:
             return False
-        for said in report.said:
-            self._messages.write(said)
+        for message in report.messages:
+            self._messages.write(message)
         end, until, m = report.closing, report.until, self._scenario.round_ticks
         if end is not None:
             self._journal.end_at(min(until, self._scenario.ticks))
@@ -410,9 +406,9 @@ class RelayRun:
             rows.append(VehicleFrame(i, place, (0.0,) * 5, (), STILL if command else (), command, (), (), (), ()))
         lives = tuple(
             Life(min(tick, max(0, -(-(at_ns - self._begin_ns) // tick_ns))), node, begins, False)
-            for at_ns, node, begins in programs.said
+            for at_ns, node, begins in programs.changes
         )
-        programs.said.clear()
+        programs.changes.clear()
         self._journal.frame(Frame(tick, False, lives, (), tuple(rows)))
 
     def _place(self, report: RelayReport) -> None:
@@ -444,8 +440,6 @@ class RelayRun:
         self.notes.append(text)
         self._print(text)
 
-    # --- commands
-
     def _answer(self, operator: Operator) -> None:
         """Answer the requests that have come. Raises StoppedError: one of them was to stop."""
         try:
@@ -472,7 +466,7 @@ class RelayRun:
     def set_world_faults(self, faults: Sequence[WorldFault]) -> None:
         """The programs get their pauses with the plan of all faults; the operator refuses the rest."""
 
-    def without_agent(self) -> list[int]:
+    def vehicles_without_agent(self) -> list[int]:
         return self._programs.gone
 
     def end_agents(self, kill: Kill) -> None:
@@ -481,8 +475,6 @@ class RelayRun:
     def restart_agent(self, i: int, begin: int | None, tick: int) -> None:
         if begin is None:
             self._programs.again(i)
-
-    # --- the process
 
     def _tell(self, **request: Any) -> None:
         try:

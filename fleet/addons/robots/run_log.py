@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fleet.errors import FleetError
 from fleet.recorder.log_file import LogFile
-from fleet.recorder.writer import run_metadata, stated
+from fleet.recorder.writer import run_metadata, scenario_metadata
 from fleet.replay.capture import FLUSH_NS
 from fleet.replay.topics import ask_scenario, ask_topics, unpack
 from fleet.scenario.loading import parse_scenario
@@ -88,4 +88,4 @@ def _facts(scenario: Scenario) -> dict[str, str]:
     try:
         return run_metadata(scenario)
     except PluginError:
-        return stated(scenario)
+        return scenario_metadata(scenario)

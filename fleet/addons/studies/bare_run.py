@@ -78,7 +78,7 @@ def bare_verdicts(scenario: Scenario, progress: Callable[[float], None] | None =
 _Timed = TypeVar("_Timed", bound=TimedFault)
 
 
-def _in_order(*faults: _Timed) -> tuple[_Timed, ...]:
+def _sort_faults(*faults: _Timed) -> tuple[_Timed, ...]:
     """The faults in the order in which they begin."""
     return tuple(sorted(faults, key=lambda fault: fault.begin))
 
@@ -99,7 +99,7 @@ class _Values(NamedTuple):
 class _BareRun:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        checks = OwnChecks.asked(scenario, budget_s=0.0)
+        checks = OwnChecks.from_scenario(scenario, budget_s=0.0)
         assert checks is not None
         self._checks = checks
         self._world, self._network = World(scenario.world_config), Netem(scenario.netem_config)
@@ -149,7 +149,7 @@ class _BareRun:
 
     def _loop(self, i: int, k: int) -> AgentLoop | None:
         """The agent of vehicle i at tick k, perhaps a new one; None: it has none."""
-        if self._lives.without_agent(i, k):
+        if self._lives.lacks_agent(i, k):
             return None
         life = self._lives.incarnation(i, k)
         if i not in self._loops or self._loops[i].incarnation != life:
@@ -192,8 +192,8 @@ class _BareRun:
                 for absence in part.absences:
                     self._lives.add(absence)
         network, world = self._network, self._world
-        network.faults = _in_order(*network.faults, *(part for part in found if isinstance(part, NetFault)))
-        world.faults = _in_order(*world.faults, *(part for part in found if isinstance(part, WorldFault)))
+        network.faults = _sort_faults(*network.faults, *(part for part in found if isinstance(part, NetFault)))
+        world.faults = _sort_faults(*world.faults, *(part for part in found if isinstance(part, WorldFault)))
         events = begin_and_end(found, fault, scenario.ticks)
         self._events = deque(sorted((*self._events, *events), key=event_order))
 

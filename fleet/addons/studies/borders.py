@@ -18,7 +18,7 @@ from typing import Literal, Protocol, cast
 
 from msgspec import structs
 
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import NO_MODULES, Modules
 from fleet.addons.studies.one_run import A_STUDY, Task
@@ -168,7 +168,7 @@ class Borders:
         rows = self.rows()
         return any(_Walk(self, number).missing(of) for number, of in enumerate(rows))
 
-    def found(self) -> list[Border]:
+    def estimates(self) -> list[Border]:
         """The present estimate of each border. Raises StudyError."""
         return [self._border(number, list(rows.values())) for number, rows in enumerate(self.rows())]
 
@@ -211,7 +211,7 @@ def find_borders(
     work = Work(
         store, engine, lambda now: on_progress(now, known=sum(walk.ended for walk in walks), of=len(walks)), inf
     )
-    with store.locked():
+    with store.lock():
         carried = engine.carry(modules)
         like = Task("", 0, 0, store.record.scenario, "", timeout_s, carried, keep=str(store.logs))
         rows = borders.rows()
@@ -250,15 +250,14 @@ class _Walk:
         return []
 
 
-# The theory of each border of a study, to be drawn next to the result of the simulations.
-#
-# `fleet check` leaves loss out. Here it enters the rule of dead reckoning as age: of a link that loses the share p,
-# what is heard last is p / (1 - p) rounds older on average.
-
-
 @dataclass(frozen=True, slots=True)
 class Theory:
-    """Theory at the low end of a border's range, and along it; None: it is not known, or the rule does not apply."""
+    """Theory at the low end of a border's range, and along it, to be drawn beside the result of the simulations; None:
+    it is not known, or the rule does not apply.
+
+    `fleet check` leaves loss out. Here it enters the rule of dead reckoning as age: of a link that loses the share p,
+    what is heard last is p / (1 - p) rounds older on average.
+    """
 
     shunting: tuple[float, float] | None  # K lambda_max(L+B) and a [1/s]; the first must be smaller
     stable: bool | None  # whether the linear loop is, for the final value of K, at the low end

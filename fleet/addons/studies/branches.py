@@ -18,9 +18,9 @@ from fleet.addons.studies.row import PartRow, Row
 from fleet.analysis.randomness import may_draw
 from fleet.analysis.verdicts import judge
 from fleet.execution.external_agents import refuse
-from fleet.execution.in_process import InProcess, in_process
+from fleet.execution.in_process import InProcess, start_in_process
 from fleet.execution.moments import Prefix, reach
-from fleet.processes.apart import apart, can_copy
+from fleet.processes.apart import can_copy, in_child_process
 from fleet.recorder.log_file import NoDigest
 from fleet.recorder.metrics import VehicleError
 from fleet.recorder.start import Leg, Start
@@ -83,7 +83,7 @@ def run_branches(scenario: Scenario, asked: Branches, progress: Callable[[float]
         for number, salt in enumerate(asked.salts):
             last = number == len(asked.salts) - 1
             if not last and moment is not None and moment.run.can_be_copied and can_copy():
-                rows.append(apart(partial(_future, scenario, asked, salt, moment, progress)))
+                rows.append(in_child_process(partial(_future, scenario, asked, salt, moment, progress)))
             else:
                 rows.append(_future(scenario, asked, salt, moment, progress))
                 moment = None if last else _moment(scenario, asked)
@@ -113,7 +113,7 @@ def _future(
     grid = moment_grid(scenario.spec)
     signals = _Signals(margin, grid) if asked.check not in _OF_THE_TIME else None
     certain = certain_margin(scenario) if asked.check == "max_age" else None
-    run = in_process(scenario, signals or NoDigest(), None if moment is None else moment.run, salt=salt)
+    run = start_in_process(scenario, signals or NoDigest(), None if moment is None else moment.run, salt=salt)
     run.begin()
     begin, best, places = run.granted, asked.best, list[tuple[float, int]]()
     try:
@@ -167,19 +167,16 @@ def checks_over_time(scenario: Scenario) -> Iterator[str]:
             yield name
 
 
-# The ages of information that a run certainly reaches from a moment on, whatever is drawn after it.
-#
-# At tick S, before its round, the fates of all packets sent before S are known: they are under way, or lost. A packet
-# sent at S or later arrives L ticks after S at the earliest, so the ages of the ticks S to S + L - 1 are known.
-#
-# A margin that leaves these ages out is late. When it gets smaller, the fate of the next packet is drawn already.
-# All runs that continue from there then share its fate, and new draws do not help.
-
-
 def certain_margin(scenario: Scenario) -> Callable[[int, InProcess], float]:
     """Make a function that computes the margin of `max_age` [s] of a run before a round tick.
 
-    It covers the ticks for which every age is decided already. If the margin is below 0, the check fails.
+    It covers the ticks for which every age is decided already, whatever is drawn afterwards. If the margin is below 0,
+    the check fails. At tick S, before its round, the fates of all packets sent before S are known: they are under way,
+    or lost. A packet sent at S or later arrives L ticks after S at the earliest, so the ages of the ticks S to
+    S + L - 1 are known.
+
+    A margin that leaves these ages out is late. When it gets smaller, the fate of the next packet is drawn already. All
+    runs that continue from there then share its fate, and new draws do not help.
     """
     check = scenario.spec.checks.max_age
     assert check is not None

@@ -38,10 +38,10 @@ def study_text(name: str) -> str:
 
 
 def list_studies() -> list[ListedStudy]:
-    return [_listed(name) for name in shipped_studies()]
+    return [_describe_study(name) for name in shipped_studies()]
 
 
-def _listed(name: str) -> ListedStudy:
+def _describe_study(name: str) -> ListedStudy:
     root, _ = read(Source(name, study_text(name)))
     assert root is not None, name
     study: dict[str, Any] = plain(root)["study"]

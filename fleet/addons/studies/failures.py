@@ -22,14 +22,14 @@ from typing import Annotated, Literal, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import Modules, modules_of
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import run_key
-from fleet.addons.studies.row import VOTES, Row, voted
+from fleet.addons.studies.row import VOTES, Row, majority
 from fleet.addons.studies.shrink import Shrinker
-from fleet.execution.external_agents import on_wall_clock, refuse
+from fleet.execution.external_agents import refuse, uses_wall_clock
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
 from netem.files import DamagedFile, read_json
@@ -95,7 +95,7 @@ class FailureFolder:
         """Write a scenario and what is expected of it, in place of what was there of this name. Raises StudyError: it
         cannot be written."""
         path = self.path / failure.file
-        if on_wall_clock(scenario):  # whose log never comes out the same again
+        if uses_wall_clock(scenario):  # whose log never comes out the same again
             failure.digest = ""
         self._write(path, scenario.to_yaml().encode())
         failure.paste = self.paste(failure)
@@ -221,7 +221,7 @@ class Regression:
             on_progress(made // self.times)
 
         engine.make(tasks(), take, lambda: on_progress(made // self.times))
-        return [_compared(failure, rows[number]) for number, failure in enumerate(self.failures)]
+        return [_compare(failure, rows[number]) for number, failure in enumerate(self.failures)]
 
     def accept(self, found: list[RegressionResult]) -> list[RegressionResult]:
         """Expect from now on what came out: the verdict, and the digest of the log.
@@ -251,8 +251,8 @@ class Regression:
         return settled
 
 
-def _compared(failure: FoundFailure, rows: list[Row]) -> RegressionResult:
-    row, fails, of = voted(rows, failure.check)
+def _compare(failure: FoundFailure, rows: list[Row]) -> RegressionResult:
+    row, fails, of = majority(rows, failure.check)
     found = _compared_one(failure, row)
     if len(rows) == 1 or found.broken:
         return found

@@ -52,14 +52,14 @@ def modules_of(scenarios: Iterable[Scenario], folder: Path | None) -> Modules:
     in it."""
     scenarios = list(scenarios)
     if any(scenario.nodes for scenario in scenarios):
-        return _of_stacks(scenarios, folder)
+        return _stack_modules(scenarios, folder)
     for scenario in scenarios:
         admit_programs(scenario.spec, scenario.reading.policy)  # of gateways
-    found = _of_laws(scenarios, folder)
+    found = _law_modules(scenarios, folder)
     return found._replace(programs=True, verb="run") if any(map(has_gateways, scenarios)) else found
 
 
-def _of_laws(scenarios: list[Scenario], folder: Path | None) -> Modules:
+def _law_modules(scenarios: list[Scenario], folder: Path | None) -> Modules:
     names = {
         law.name.partition(":")[0]
         for scenario in scenarios
@@ -90,7 +90,7 @@ def _of_laws(scenarios: list[Scenario], folder: Path | None) -> Modules:
     return Modules(beside_it, files, digests, tuple(names), units=tuple(units))
 
 
-def _of_stacks(scenarios: list[Scenario], folder: Path | None) -> Modules:
+def _stack_modules(scenarios: list[Scenario], folder: Path | None) -> Modules:
     """What runs of programs need: these are let in as a whole, and `fleet netem` imports the checks in Python."""
     for scenario in scenarios:
         admit_programs(scenario.spec, scenario.reading.policy)
@@ -147,7 +147,7 @@ def folder_of(modules: Modules) -> Path | None:
     if not modules.carried:
         return None if modules.folder is None else Path(modules.folder)
     with _writing:
-        folder = _written(modules.carried)
+        folder = _write_files(modules.carried)
     contents = {data for _, data in modules.carried}
     for path in (path for path, _ in modules.carried if path.endswith(".py")):
         name = path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
@@ -170,7 +170,7 @@ def get_ready(modules: Modules) -> None:
 
 
 @lru_cache
-def _written(files: tuple[tuple[str, bytes], ...]) -> Path:
+def _write_files(files: tuple[tuple[str, bytes], ...]) -> Path:
     private = PrivateFolder("laws")
     close_at_end(private)
     folder = private.path

@@ -19,17 +19,18 @@ from typing import NamedTuple
 from fleet.addons.studies.bare_run import bare_verdicts, fits
 from fleet.addons.studies.branches import Branches, run_branches
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import MEASURES, Samples
+from fleet.addons.studies.measures import MEASURES
 from fleet.addons.studies.modules import NO_MODULES, Modules, folder_of
 from fleet.addons.studies.row import FAILED, PREFIX, CheckRow, Row
+from fleet.addons.studies.signal_measures import Samples
 from fleet.analysis.verdicts import PROGRAMS
 from fleet.cores import cores
 from fleet.errors import FleetError
 from fleet.execution.directory import LOG, SCENARIO
 from fleet.execution.stepped_run import Run
 from fleet.execution.triggered import resolve_triggers
-from fleet.execution.whole_run import judged
-from fleet.processes.apart import apart, can_copy
+from fleet.execution.whole_run import run_loaded
+from fleet.processes.apart import can_copy, in_child_process
 from fleet.recorder.log_file import LogFile, NoDigest
 from fleet.result.file import write_result
 from fleet.result.result import Result, Status
@@ -72,7 +73,7 @@ def make_run(task: Task) -> Row:
 
     A run that takes too long ends between two ticks. Where a law hangs within a tick, it does not end.
     """
-    return whole_row(task, _made(task))
+    return whole_row(task, _make(task))
 
 
 def make_run_in_time(task: Task) -> Row:
@@ -87,7 +88,7 @@ def make_run_in_time(task: Task) -> Row:
 
     def make() -> None:
         with suppress(_AbandonedError):
-            rows.append(_made(task))
+            rows.append(_make(task))
 
     thread = threading.Thread(target=make, daemon=True)
     thread.start()
@@ -104,7 +105,7 @@ def whole_row(task: Task, row: Row) -> Row:
     return row
 
 
-def _made(task: Task) -> Row:
+def _make(task: Task) -> Row:
     began = time.monotonic()
 
     def check(_: float) -> None:
@@ -114,10 +115,10 @@ def _made(task: Task) -> Row:
     try:
         scenario = scenario_of(task)
         if task.branches is not None:
-            return _of_futures(task, run_branches(scenario, task.branches, check))
+            return _futures_row(task, run_branches(scenario, task.branches, check))
         if task.healed:
-            return _of_futures(task, healed_runs(task, scenario))
-        return _of_all_checks(_whole(task, scenario, check), scenario)
+            return _futures_row(task, healed_runs(task, scenario))
+        return _add_program_check(_whole(task, scenario, check), scenario)
     except Exception as error:  # a law of a user's may raise anything: the study says so and goes on
         return failed_row(task, error)
 
@@ -125,18 +126,18 @@ def _made(task: Task) -> Row:
 def _whole(task: Task, scenario: Scenario, check: Callable[[float], None]) -> Row:
     in_time = check if isfinite(task.timeout_s) else None
     if task.bare and fits(scenario) and (verdicts := bare_verdicts(scenario, in_time)):
-        return _by_verdicts(task, verdicts)
+        return _verdict_row(task, verdicts)
     if scenario.spec.triggers:
-        scenario = fired_of(task)
+        scenario = with_triggers_resolved(task)
     samples = Samples(scenario, task.signals)
     if task.log:
-        return measured_row(recorded(scenario, Path(task.log), check, samples), samples)
+        return measured_row(run_and_record(scenario, Path(task.log), check, samples), samples)
     # The digest of a run that fails is that of its repetition: to make it here would make each failure twice.
-    result = judged(scenario, in_time, samples, log=NoDigest() if task.bare else None)
+    result = run_loaded(scenario, in_time, samples, log=NoDigest() if task.bare else None)
     return measured_row(result, samples)
 
 
-def _of_all_checks(row: Row, scenario: Scenario) -> Row:
+def _add_program_check(row: Row, scenario: Scenario) -> Row:
     """The same with the check of programs: a run shows it when one has failed, and otherwise passes it."""
     if row.judged and scenario.speaking and scenario.spec.checks.programs is None:
         row.checks.setdefault(PROGRAMS, CheckRow(True, 0.0, 0.0))
@@ -155,9 +156,9 @@ def healed_runs(task: Task, scenario: Scenario) -> list[Row]:
             run = Run.prepared(scenario, NoDigest()) if run is None else run
             if tick > run.tick:
                 run.go(tick - run.tick)
-            make = partial(_healed, run, task._replace(text=text))
+            make = partial(_make_healed, run, task._replace(text=text))
             if tick < task.healed[-1][0] and run.can_be_copied and can_copy():
-                rows.append(apart(make))
+                rows.append(in_child_process(make))
             else:
                 rows.append(make())
                 run = None
@@ -167,13 +168,13 @@ def healed_runs(task: Task, scenario: Scenario) -> list[Row]:
     return rows
 
 
-def _healed(run: Run, task: Task) -> Row:
+def _make_healed(run: Run, task: Task) -> Row:
     before, scenario = run.scenario, scenario_of(task)
     with run:
         run.heal_as(scenario)
         result = run.to_end()
     gone = _own_checks(before) - _own_checks(scenario)  # those about faults that never began
-    checks, _ = _judged(verdict for verdict in result.checks if verdict.check not in gone)
+    checks, _ = _check_rows(verdict for verdict in result.checks if verdict.check not in gone)
     return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason), checks=checks)
 
 
@@ -181,12 +182,12 @@ def _own_checks(scenario: Scenario) -> set[str]:
     return {check.name for check in scenario.spec.checks.own()}
 
 
-def _of_futures(task: Task, futures: list[Row]) -> Row:
+def _futures_row(task: Task, futures: list[Row]) -> Row:
     return Row(seed=task.seed, status=Status.PASS, futures=futures)
 
 
-def _by_verdicts(task: Task, verdicts: Sequence[Verdict]) -> Row:
-    checks, numbers = _judged(verdicts)
+def _verdict_row(task: Task, verdicts: Sequence[Verdict]) -> Row:
+    checks, numbers = _check_rows(verdicts)
     passed = all(verdict.passed for verdict in verdicts)
     status = Status.PASS if passed else Status.CHECK_FAILED
     return Row(seed=task.seed, status=status, passed=passed, checks=checks, numbers=numbers)
@@ -202,7 +203,7 @@ def _text(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def recorded(
+def run_and_record(
     scenario: Scenario, directory: Path, check: Callable[[float], None] | None = None, samples: Samples | None = None
 ) -> Result:
     """Make a run, and the directory that `fleet run` would have made; it is there as a whole or not at all."""
@@ -210,7 +211,7 @@ def recorded(
     part.mkdir(parents=True)
     try:
         (part / SCENARIO).write_text(scenario.to_yaml(), "utf-8")
-        result = judged(scenario, check, samples, LogFile(part / LOG))
+        result = run_loaded(scenario, check, samples, LogFile(part / LOG))
         write_result(result, part)
         shutil.rmtree(directory, ignore_errors=True)  # of a study that was killed before it had the row
         os.replace(part, directory)
@@ -224,7 +225,7 @@ def scenario_of(task: Task) -> Scenario:
     return _read(task, lambda scenario: scenario)
 
 
-def fired_of(task: Task) -> Scenario:
+def with_triggers_resolved(task: Task) -> Scenario:
     """The same with faults in place of its triggers. Raises ScenarioError."""
     return _read(task, resolve_triggers)
 
@@ -240,7 +241,7 @@ def _read(task: Task, then: Callable[[Scenario], Scenario]) -> Scenario:
 
 def measured_row(result: Result, samples: Samples) -> Row:
     """The row of a run with a result."""
-    checks, numbers = _judged(result.checks)
+    checks, numbers = _check_rows(result.checks)
     numbers |= {name: float(measure.of(result)) for name, measure in MEASURES.items()}
     numbers |= {name: float(value) for name, value in samples.numbers().items()}
     return Row(seed=result.seed, status=str(result.status), reason=_text(result.reason),
@@ -248,7 +249,7 @@ def measured_row(result: Result, samples: Samples) -> Row:
                passed=result.passed, checks=checks, numbers=numbers)  # fmt: skip
 
 
-def _judged(verdicts: Iterable[Verdict]) -> tuple[dict[str, CheckRow], dict[str, float]]:
+def _check_rows(verdicts: Iterable[Verdict]) -> tuple[dict[str, CheckRow], dict[str, float]]:
     """The rows of some verdicts, and which of those were reached that some run must reach."""
     checks, numbers = dict[str, CheckRow](), dict[str, float]()
     for verdict in verdicts:

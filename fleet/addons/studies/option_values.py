@@ -12,8 +12,8 @@ from math import inf, isfinite
 from typing import Any, Literal, TypedDict, TypeVar
 
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import check_name
 from fleet.addons.studies.plan import parse_seeds
+from fleet.addons.studies.signal_measures import check_name
 from fleet.addons.studies.spec import KeepLogs, Spec
 from fleet.addons.studies.stopping import check_until
 from fleet.addons.studies.values import axis, key_and_values, parse_axis, values_text
@@ -118,7 +118,7 @@ class SweepKeywords(TypedDict, total=False):
 def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:
     """The values of a spec that a script gives by keyword; None: not given. Raises TypeError: there is no such keyword;
     StudyError: a value is wrong."""
-    known, given = _by_keyword(spec), {}
+    known, given = _fields_by_keyword(spec), {}
     for keyword, value in options.items():
         if keyword not in known:
             hint = nearest(keyword, known) or f"known here: {', '.join(known)}"
@@ -127,13 +127,13 @@ def keywords(spec: Spec, options: Mapping[str, object]) -> dict[str, Any]:
         if value is None or (field.kind is Kind.TIME and value == inf):
             continue
         try:
-            given[field.name] = _of_script(field, value)
+            given[field.name] = _script_value(field, value)
         except StudyError as error:
             raise StudyError(f"{keyword}: {error}") from None
     return given
 
 
-def _of_script(field: OptionField, value: Any) -> Any:
+def _script_value(field: OptionField, value: Any) -> Any:
     if field.kind is Kind.VALUE:
         value = set_values(override_texts(value))
     if field.kind is Kind.TIME:
@@ -146,7 +146,7 @@ def _of_script(field: OptionField, value: Any) -> Any:
     return read(field, value)
 
 
-def _by_keyword(spec: Spec) -> dict[str, OptionField]:
+def _fields_by_keyword(spec: Spec) -> dict[str, OptionField]:
     return {field.keyword: field for field in fields(spec).values() if field.flag is not None}
 
 
@@ -155,13 +155,13 @@ def takes(spec: Spec) -> Callable[[F], F]:
 
     def describe(function: F) -> F:
         own = signature(function).parameters
-        fields = {keyword: field for keyword, field in _by_keyword(spec).items() if keyword not in own}
+        fields = {keyword: field for keyword, field in _fields_by_keyword(spec).items() if keyword not in own}
         named = [each for each in own.values() if each.kind is not Parameter.VAR_KEYWORD]
         named += [Parameter(keyword, Parameter.KEYWORD_ONLY, default=None) for keyword in fields]
         function.__signature__ = signature(function).replace(parameters=named)  # type: ignore[attr-defined]
 
         def described(place: re.Match[str]) -> str:  # its indentation depends on the version of Python
-            return "\n".join(f"{place[1]}{keyword}: {_described(field)}" for keyword, field in fields.items())
+            return "\n".join(f"{place[1]}{keyword}: {_describe(field)}" for keyword, field in fields.items())
 
         function.__doc__ = re.sub(r"( *)options: these\.", described, function.__doc__ or "")
         return function
@@ -169,15 +169,15 @@ def takes(spec: Spec) -> Callable[[F], F]:
     return describe
 
 
-def _described(field: OptionField) -> str:
+def _describe(field: OptionField) -> str:
     unit = " [s]" if field.kind is Kind.TIME else ""
     default = f" By default {field.default}." if field.default not in ("", [], {}, False) else ""
     return _QUOTED.sub(r"`\1`", field.option.help.removesuffix(".")) + f"{unit}.{default}"
 
 
-def by_key(field: OptionField, texts: Iterable[str]) -> dict[str, str]:
+def texts_by_key(field: OptionField, texts: Iterable[str]) -> dict[str, str]:
     """The texts of an option that is given once per key. Raises StudyError: one has no key, or a key is twice there."""
-    return set_values(texts) if field.kind is Kind.VALUE else varied(texts, str(field.flag))
+    return set_values(texts) if field.kind is Kind.VALUE else varied_values(texts, str(field.flag))
 
 
 def set_values(texts: Iterable[str]) -> dict[str, str]:
@@ -192,7 +192,7 @@ def set_values(texts: Iterable[str]) -> dict[str, str]:
     return values
 
 
-def varied(texts: Iterable[str], flag: str = "--vary") -> dict[str, str]:
+def varied_values(texts: Iterable[str], flag: str = "--vary") -> dict[str, str]:
     """The VALUES of several `--vary KEY=VALUES`, or of another flag, by key. Raises StudyError: one has no key, or a
     key is there twice."""
     found: dict[str, str] = {}

@@ -88,7 +88,7 @@ class Plan:
         grid = [axis for axis in self.axes if not axis.sampled]
         groups: list[list[dict[str, AxisValue]]] = []
         if sampled:
-            groups.append(_drawn(sampled, self.draw))
+            groups.append(_draw_samples(sampled, self.draw))
         if self.zipped:
             _check_equal({a.key: len(a.values) for a in grid}, "zipped keys need as many values as each other")
             groups.append(
@@ -166,7 +166,7 @@ def _check_equal(counts: Mapping[str, int], otherwise: str) -> None:
         raise StudyError(f"{otherwise}: {', '.join(f'{key} {count}' for key, count in counts.items())}")
 
 
-def _drawn(axes: Sequence[Axis], seed: int) -> list[dict[str, AxisValue]]:
+def _draw_samples(axes: Sequence[Axis], seed: int) -> list[dict[str, AxisValue]]:
     """Samples of all sampled axes together: each is one value of each axis.
 
     Samples that are equal after rounding count as one.

@@ -77,10 +77,10 @@ class _Asked(NamedTuple):
 
     def load(self, seed: int) -> Scenario:
         """The scenario with a seed. Raises ScenarioError."""
-        from fleet.execution.stepped_run import loaded
+        from fleet.execution.stepped_run import load_for
         from fleet.execution.whole_run import run
 
-        return loaded(run, self.name, self.set, self.net, self.fault, seed, self.trust)
+        return load_for(run, self.name, self.set, self.net, self.fault, seed, self.trust)
 
     @property
     def options(self) -> str:
@@ -109,7 +109,7 @@ def _run(asked: _Asked, seeds: list[int], directory: Path) -> list[Result]:
         if mistake:  # outside, or pytest would show the error twice
             pytest.fail(mistake, pytrace=False)
         if not result.passed:
-            log = log or _kept(asked, seed, directory.with_name(f"{directory.name}-seed-{seed}"))
+            log = log or _keep_run(asked, seed, directory.with_name(f"{directory.name}-seed-{seed}"))
             pytest.fail(_words(asked, result, len(seeds), log), pytrace=False)
         found.append(result)
         for verdict in result.checks:
@@ -124,7 +124,7 @@ def _run(asked: _Asked, seeds: list[int], directory: Path) -> list[Result]:
 def _once(asked: _Asked, seed: int) -> tuple[Result, str]:
     """Make one run. Returns its result, and where its log is if there is one already."""
     from fleet.addons.studies.stack_runs import run_stack
-    from fleet.execution.external_agents import on_wall_clock
+    from fleet.execution.external_agents import uses_wall_clock
     from fleet.execution.whole_run import run
     from fleet.scenario.programs import admit_programs
     from world.plugins.trust import trusting
@@ -132,18 +132,18 @@ def _once(asked: _Asked, seed: int) -> tuple[Result, str]:
     scenario = asked.load(seed)
     with trusting(asked.trust):
         admit_programs(scenario.spec, scenario.reading.policy)
-    if not on_wall_clock(scenario):
+    if not uses_wall_clock(scenario):
         return run(scenario, trust=asked.trust), ""
     result = run_stack(scenario, Path("runs"))
     return result, f"its log: {result.directory} (fleet view {result.directory})"
 
 
-def _kept(asked: _Asked, seed: int, directory: Path) -> str:
+def _keep_run(asked: _Asked, seed: int, directory: Path) -> str:
     """Make a run once more, with its directory; returns where that is, or why there is none."""
-    from fleet.addons.studies.one_run import recorded
+    from fleet.addons.studies.one_run import run_and_record
 
     try:
-        recorded(asked.load(seed), directory)
+        run_and_record(asked.load(seed), directory)
     except OSError as error:
         return f"its log is not kept: {error}"
     return f"its log: {directory} (fleet view {directory})"
@@ -152,7 +152,7 @@ def _kept(asked: _Asked, seed: int, directory: Path) -> str:
 def _words(asked: _Asked, result: Result, of: int, log: str) -> str:
     from shlex import quote
 
-    from fleet.addons.studies.stack_runs import told_of
+    from fleet.addons.studies.stack_runs import describe_failure
 
     failed = [one for one in result.checks if not one.passed]
     names = ", ".join(one.check for one in failed) or str(result.status)
@@ -162,7 +162,7 @@ def _words(asked: _Asked, result: Result, of: int, log: str) -> str:
     ]
     lines += [f"  {one.check}: {one.asked}; found {one.words}" for one in failed]
     if result.directory is not None:  # of programs on the wall clock, which has no digest that comes again
-        return "\n".join([lines[0], *told_of(result.directory), log])
+        return "\n".join([lines[0], *describe_failure(result.directory), log])
     return "\n".join(
         [
             *lines,

@@ -92,10 +92,10 @@ def export_study(directory: Path, folder: Path, form: str, *, force: bool) -> Pa
     Raises StudyError: it is damaged, or an extra is not installed; FleetError: something is in the way, or the place
     cannot be written.
     """
-    from fleet.addons.studies.engine import need
+    from fleet.addons.studies.engine_interface import require
 
     if form == "parquet":
-        need(["pyarrow"], "Parquet needs", "parquet")
+        require(["pyarrow"], "Parquet needs", "parquet")
     frame, path = _open(directory).frame(), folder / f"{directory.resolve().name}.{form}"
     if path.exists() and not force:
         raise FleetError(f"{path} is there already: choose another place, or replace it with --force")
@@ -130,9 +130,9 @@ def _open_all(paths: Sequence[Path], labels: Sequence[str | None]) -> dict[str, 
 
 
 def _open(directory: Path) -> Store:
-    from fleet.addons.studies.engine import need_extra
+    from fleet.addons.studies.engine_interface import require_extra
 
-    need_extra()
+    require_extra()
     from fleet.addons.studies.store import Store
 
     return Store.open(directory)

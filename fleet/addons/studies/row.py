@@ -90,7 +90,7 @@ class Row(Struct, kw_only=True):
         """A measure; NaN: the run does not have it."""
         return self.numbers.get(name, nan)
 
-    def compared(self, again: Row) -> Row:
+    def compare(self, again: Row) -> Row:
         """The row of a run that failed and was repeated, with a digest if either has one; if both disagree, a row
         without a result that says so.
 
@@ -116,7 +116,7 @@ class Row(Struct, kw_only=True):
 VOTES = 3  # of runs on the wall clock, which repeat well, and not exactly
 
 
-def voted(rows: Sequence[Row], check: str = "") -> tuple[Row, int, int]:
+def majority(rows: Sequence[Row], check: str = "") -> tuple[Row, int, int]:
     """What most of some runs of the same came to.
 
     Args:

@@ -17,13 +17,13 @@ from typing import Literal
 
 from msgspec import structs
 
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.failures import FailureFolder, FoundFailure, SearchProgress, file_of
 from fleet.addons.studies.modules import NO_MODULES, Modules
-from fleet.addons.studies.one_run import Task, fired_of, scenario_of
+from fleet.addons.studies.one_run import Task, scenario_of, with_triggers_resolved
 from fleet.addons.studies.plan import run_key
-from fleet.addons.studies.row import FAILED, VOTES, Covered, Reached, Row, sometimes_names, voted
+from fleet.addons.studies.row import FAILED, VOTES, Covered, Reached, Row, majority, sometimes_names
 from fleet.addons.studies.spec import LARGEST_SEED
 from fleet.addons.studies.statistics import most_failures
 from fleet.analysis.randomness import may_draw
@@ -36,16 +36,16 @@ from fleet.scenario.text.overrides import SET, Override
 _SAVE_S = 2.0  # how often a search writes how far it is
 
 
-def covered(scenario: Scenario, seeds: Collection[int]) -> Covered | None:
+def coverage(scenario: Scenario, seeds: Collection[int]) -> Covered | None:
     """The episodes of a scenario's runs with some seeds. None: its nemesis draws no episodes."""
     nemesis = scenario.undrawn.nemesis
     if nemesis is None or nemesis.mode != "episodes":
         return None
-    plan, n = episodes.plan(nemesis, scenario.ground), scenario.vehicles
+    plan, n = episodes.plan(nemesis, scenario.targets), scenario.vehicles
     count = len(seeds) * len(plan.begins)
     cuts_off = nemesis.pick is None or any(pick.drawn == "partition" for pick in nemesis.pick)
     two, three = (episodes.chance(isolations, n, count) if cuts_off else None for isolations in (2, 3))
-    kinds, faults = (dict(found.most_common()) for found in episodes.counted(nemesis, scenario.ground, seeds))
+    kinds, faults = (dict(found.most_common()) for found in episodes.count_episodes(nemesis, scenario.targets, seeds))
     return Covered(count, kinds, faults, plan.unit / 1e9, plan.origin, two, three)
 
 
@@ -198,9 +198,9 @@ class _Search:
         most runs came to.
         """
         if self._times == 1:
-            return row.compared(again[0])
+            return row.compare(again[0])
         rows, known = [row, *again], self.found.kinds.keys()
-        votes = {check: voted(rows, check)[1:] for check in self._fails(row) if check not in known}
+        votes = {check: majority(rows, check)[1:] for check in self._fails(row) if check not in known}
         sure = {check: vote for check, vote in votes.items() if 2 * vote[0] > vote[1]}
         if not sure and not known & set(row.failed_checks):
             check, (failed, of) = next(iter(votes.items()))
@@ -251,11 +251,11 @@ class _Search:
             found.seed = found.kinds[found.check]
             spec = scenario_of(self.task(found.seed)).spec
             found.scenario, found.triggered = self.scenario(found.seed), moments(spec.triggers, spec)
-        found.covered = covered(self._scenario, seeds)
+        found.covered = coverage(self._scenario, seeds)
         return found
 
     def scenario(self, seed: int) -> Scenario:
-        return fired_of(self.task(seed))
+        return with_triggers_resolved(self.task(seed))
 
     @property
     def _key(self) -> str:

@@ -20,12 +20,12 @@ from math import inf, isfinite
 from typing import Any, NamedTuple, TypeVar
 
 from agents.controllers import laws
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import NO_MODULES, Modules
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import run_key
-from fleet.addons.studies.row import FAILED, Row, voted
+from fleet.addons.studies.row import FAILED, Row, majority
 from fleet.addons.studies.targets import Targets, narrower, targets
 from fleet.analysis.verdicts import PROGRAMS
 from fleet.errors import ScenarioError
@@ -35,7 +35,7 @@ from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.programs import DONE
-from fleet.scenario.sections.node_names import numbered_values
+from fleet.scenario.sections.node_names import values_to_numbers
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from netem.parsing import NUMBER
 from world.plugins.loading import unit_file
@@ -91,7 +91,7 @@ class Shrinker:
                 break
         last = self._run([self._tree])[0]
         least = parse_scenario(json.dumps(self._tree), self._name)
-        return Shrunk(least, self._check, (_found(first, self._check), _found(last, self._check)),
+        return Shrunk(least, self._check, (_describe_found(first, self._check), _describe_found(last, self._check)),
                       len(self._rows), steps, last.digest or "")  # fmt: skip
 
     def _failed(self, row: Row, check: str | None) -> str:
@@ -211,8 +211,8 @@ class Shrinker:
     def _weaker(self, k: int, kind: str, place: int) -> Iterator[Tree]:
         value = self._tree["faults"][k][kind]
         for share in (Fraction(0), *_SHARES):
-            less = scaled(value, place, share)
-            if less != scaled(value, place, Fraction(1)):
+            less = scale_number(value, place, share)
+            if less != scale_number(value, place, Fraction(1)):
                 yield _with_fault(self._tree, k, {kind: less})
 
     def _least(self, candidates: Sequence[Tree]) -> Tree | None:
@@ -229,10 +229,10 @@ class Shrinker:
             return self._run_each(trees, "")
         rounds = [self._run_each(trees, ""), self._run_each(trees, "again")]
         rows: list[list[Row]] = [[*each] for each in zip(*rounds, strict=True)]
-        open_ = [n for n, two in enumerate(rows) if voted(two, self._check)[1:] not in ((0, 2), (2, 2))]
+        open_ = [n for n, two in enumerate(rows) if majority(two, self._check)[1:] not in ((0, 2), (2, 2))]
         for n, row in zip(open_, self._run_each([trees[n] for n in open_], "once more"), strict=True):
             rows[n].append(row)
-        return [voted(each, self._check)[0] for each in rows]
+        return [majority(each, self._check)[0] for each in rows]
 
     def _run_each(self, trees: Sequence[Tree], which: str) -> list[Row]:
         """The row of each. `which`: of several runs of the same, on the wall clock."""
@@ -270,12 +270,12 @@ def tree_of(scenario: Scenario) -> Tree:
         raise ScenarioError(problems)
     values: Tree = plain(root)
     if scenario.nodes:  # inside, nodes have numbers
-        faults = numbered_values(values.get("faults") or [], scenario.nodes)
+        faults = values_to_numbers(values.get("faults") or [], scenario.nodes)
         values |= {"vehicles": scenario.vehicles, "faults": faults}
     return values
 
 
-def _found(row: Row, check: str) -> str:
+def _describe_found(row: Row, check: str) -> str:
     value = row.checks[check].value
     return "no finite value" if value is None or not isfinite(value) else f"{value:.4g}"
 
@@ -330,7 +330,7 @@ def _texts(value: Any) -> list[str]:
     return [str(value)]
 
 
-def scaled(value: Any, place: int, share: Fraction) -> Any:
+def scale_number(value: Any, place: int, share: Fraction) -> Any:
     """The value with its number at `place`, counted over all its texts, times a share."""
     seen = 0
 
@@ -351,19 +351,21 @@ def _words(value: Any) -> str:
     return json.dumps(value) if isinstance(value, dict) else str(value)
 
 
-# Delta debugging: the least part of a list that still fails.
-#
-# The algorithm ddmin of Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE Trans.
-# Software Eng. 28 (2002), section 3.2. It is exact where a test gives the same answer each time, as a run of a
-# scenario does. All parts of one size are tested side by side. Among those that fail it takes the first one, so the
-# speed of workers changes nothing.
-
 T = TypeVar("T")
 
 
 def ddmin(items: Sequence[T], fails: Callable[[list[list[T]]], Sequence[bool]]) -> list[T]:
-    """A part of `items`, in their order, that fails and needs each of its items to fail. `items`: a list that fails.
-    `fails`: says of each of some parts whether it fails. The empty list is asked for first."""
+    """Delta debugging: a part of `items`, in their order, that fails and needs each of its items to fail.
+
+    The algorithm ddmin of Zeller and Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE Trans.
+    Software Eng. 28 (2002), section 3.2. It is exact where a test gives the same answer each time, as a run of a
+    scenario does. All parts of one size are tested side by side. Among those that fail it takes the first one, so the
+    speed of workers changes nothing.
+
+    Args:
+        items: a list that fails.
+        fails: says of each of some parts whether it fails. The empty list is asked for first.
+    """
     if not items or fails([[]])[0]:
         return []
     left = list(items)

@@ -13,7 +13,7 @@ from itertools import combinations, islice, product
 from math import comb, inf
 from typing import Any, NamedTuple
 
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import NO_MODULES, Modules
 from fleet.addons.studies.one_run import Task

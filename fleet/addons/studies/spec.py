@@ -72,7 +72,7 @@ class StudySpec(msgspec.Struct, frozen=True, omit_defaults=True):
     budget: Annotated[Time, Option(
         "Make no more runs after this wall time, e.g. '10 min'.", later=True)] = ""  # fmt: skip
 
-    def changed(self, **given: Any) -> StudySpec:
+    def with_options(self, **given: Any) -> StudySpec:
         """The study with options added.
 
         A key that an option sets or varies is no longer what the file said of it. Conditions of links and faults come

@@ -22,10 +22,10 @@ from typing import IO
 import psutil
 from msgspec import structs
 
-from fleet.addons.studies.measures import Samples
 from fleet.addons.studies.modules import folder_of_checks
 from fleet.addons.studies.one_run import Task, failed_row, late, measured_row, scenario_of, whole_row
 from fleet.addons.studies.row import FAILED, LATE, Row, run_name
+from fleet.addons.studies.signal_measures import Samples
 from fleet.errors import FleetError, printable
 from fleet.execution.directory import SCENARIO
 from fleet.logs.open_log import open_log
@@ -246,7 +246,7 @@ class _Run:
         return f"fleet {self.task.modules.verb} ended with status {code}: {' | '.join(lines[-3:])[:500]}"
 
 
-def told_of(directory: Path) -> list[str]:
+def describe_failure(directory: Path) -> list[str]:
     """A run that failed, in words: its faults, what failed first, how its programs ended, and how to make it again."""
     try:
         result = read_result(directory)
@@ -283,7 +283,7 @@ def run_stack(scenario: Scenario, out: Path) -> Result:
     """
     why = ""
     for _ in range(TRIES):
-        result = _made(scenario, out)
+        result = _make(scenario, out)
         if not (why := lateness(result)):
             return result
     raise FleetError(f"{scenario.name} was late {TRIES} times, so it says nothing: {why}")
@@ -295,7 +295,7 @@ def lateness(result: Result) -> str:
     return "" if found is None else found.found
 
 
-def _made(scenario: Scenario, out: Path) -> Result:
+def _make(scenario: Scenario, out: Path) -> Result:
     with PrivateFolder("stack") as own:
         file = own / f"{scenario.name}.yaml"
         file.write_text(scenario.to_yaml(), "utf-8")

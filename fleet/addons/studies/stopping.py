@@ -14,17 +14,9 @@ from itertools import count, islice
 from typing import NamedTuple
 
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import (
-    CHECK,
-    LONGEST_TEXT,
-    STANDING,
-    MeasureColumn,
-    find_columns,
-    is_of_check,
-    is_signal,
-    parse_signal,
-)
+from fleet.addons.studies.measures import CHECK, STANDING, MeasureColumn, is_of_check
 from fleet.addons.studies.row import Row
+from fleet.addons.studies.signal_measures import LONGEST_TEXT, find_columns, is_signal, parse_signal
 from fleet.addons.studies.statistics import Estimate, median, pass_rate
 from netem.parsing import NUMBER
 
@@ -32,7 +24,7 @@ _RULE = re.compile(rf"(?P<what>\S.*?)\s*(?:±|\+/?-)\s*(?P<number>{NUMBER.patter
 _PASS = ("pass", "passed")
 
 
-def estimated(rows: Iterable[Row], column: MeasureColumn | None = None) -> Estimate:
+def estimate(rows: Iterable[Row], column: MeasureColumn | None = None) -> Estimate:
     """Estimate a column from some runs. Without a column, or with that of a check, it is the share that passed. Any
     other column gives its median.
     """
@@ -60,14 +52,14 @@ class Rule(NamedTuple):
         return [] if self.column is None else [self.column.name]
 
     def estimate(self, rows: Iterable[Row]) -> Estimate:
-        return estimated(rows, self.column)
+        return estimate(rows, self.column)
 
     def met(self, found: Estimate) -> bool:
         margin = self.margin * abs(found.value) if self.relative else self.margin
         return found.low == found.high or found.half <= margin
 
 
-def watched_by(text: str) -> list[str]:
+def watched_measures(text: str) -> list[str]:
     """The name of the measure that a rule looks at; none: whether runs passed. Raises StudyError."""
     what = _parts(text)["what"]
     return [] if what in _PASS else [what]
@@ -78,7 +70,7 @@ def parse_until(text: str, columns: Sequence[MeasureColumn]) -> Rule:
     measures that there are. Raises StudyError: it is none of them."""
     found = _parts(text)
     unit, margin = found["unit"] or "", float(found["number"])
-    column = next(iter(find_columns(watched_by(text), columns)), None)
+    column = next(iter(find_columns(watched_measures(text), columns)), None)
     share = column is None or column.name.startswith(CHECK)
     units = ("%", "") if column is None or share else ("%", "", column.unit)
     if unit not in units:
@@ -94,8 +86,8 @@ def parse_until(text: str, columns: Sequence[MeasureColumn]) -> Rule:
 def check_until(text: str) -> None:
     """Raises StudyError: no study can have this rule."""
     unit = _parts(text)["unit"] or ""
-    own = [MeasureColumn(str(parse_signal(name)), unit) for name in watched_by(text) if is_signal(name)]
-    own += [MeasureColumn(name, unit) for name in watched_by(text) if is_of_check(name)]
+    own = [MeasureColumn(str(parse_signal(name)), unit) for name in watched_measures(text) if is_signal(name)]
+    own += [MeasureColumn(name, unit) for name in watched_measures(text) if is_of_check(name)]
     parse_until(text, [*STANDING, *own])
 
 

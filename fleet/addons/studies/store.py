@@ -69,7 +69,7 @@ class Column(NamedTuple):
 
 
 class Store:
-    """The directory of one study. Two programs cannot run one study: see `locked`."""
+    """The directory of one study. Two programs cannot run one study: see `lock`."""
 
     def __init__(self, directory: Path, record: StudyRecord) -> None:
         self.directory, self.record = directory, record
@@ -108,7 +108,7 @@ class Store:
                     file.execute(table)
                 file.executemany(f"INSERT INTO points VALUES ({_places(2 + len(record.axes))})", rows)
             write_record(part, record)
-            while not _renamed(part, directory):
+            while not _rename(part, directory):
                 if (other := next(others, None)) is None:
                     raise StudyError(f"{directory} is there already: choose another place")
                 directory = other
@@ -142,7 +142,7 @@ class Store:
         return store
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Have the study for writing. Raises StudyError: another program has it."""
         with ExitStack() as stack:
             if not stack.enter_context(self._lock()):
@@ -349,7 +349,7 @@ class Store:
         first, rules = self.record.seeds, self.record.rules
         return seed_sequence(first, rules.most_seeds) if rules.until else list(first)
 
-    def needed(self, before: Mapping[int, int] | None = None) -> dict[int, int]:
+    def needed_seeds(self, before: Mapping[int, int] | None = None) -> dict[int, int]:
         """How many seeds each point needs, as far as its rows show; none, where a border is looked for. `before`: what
         was needed earlier, which saves the way there. Raises StudyError: the study is damaged."""
         first = dict.fromkeys(range(len(self.points)), 0 if self.record.border else len(self.record.seeds))
@@ -377,9 +377,9 @@ class Store:
     @property
     def missing(self) -> int:
         """The number of runs without a row, among those that are known to be needed. Raises StudyError."""
-        return 0 if self.record.border else sum(self.needed().values()) - len(self.done())
+        return 0 if self.record.border else sum(self.needed_seeds().values()) - len(self.finished_runs())
 
-    def done(self) -> set[tuple[int, int]]:
+    def finished_runs(self) -> set[tuple[int, int]]:
         """(point, seed) of every run that has a row. Raises StudyError."""
         return set(self._each("point, seed", "runs", "point, seed"))
 
@@ -474,7 +474,7 @@ def cell(axis: AxisRecord, value: AxisValue) -> float | str | None:
     return value.text if axis.unit is None else value.number
 
 
-def _renamed(part: Path, directory: Path) -> bool:
+def _rename(part: Path, directory: Path) -> bool:
     """Give a directory its name, unless something has that name. Another program may do the same at this moment."""
     try:
         if directory.exists():

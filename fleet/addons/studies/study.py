@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from fleet.addons.studies.borders import Border, Borders, OnProgress, border_plan, find_borders, prepare_borders, theory
-from fleet.addons.studies.engine import engine_of, need_extra
+from fleet.addons.studies.engine import engine_of
+from fleet.addons.studies.engine_interface import require_extra
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import CHECK, find_columns
+from fleet.addons.studies.measures import CHECK
 from fleet.addons.studies.one_run import A_STUDY
 from fleet.addons.studies.option_values import BoundaryKeywords, SweepKeywords, keywords, takes
 from fleet.addons.studies.pictures.border import write_borders
 from fleet.addons.studies.plan import plan_of
 from fleet.addons.studies.row import FAILED
+from fleet.addons.studies.signal_measures import find_columns
 from fleet.addons.studies.spec import BoundarySpec, StudySpec
 from fleet.addons.studies.stack_runs import run_stack
 from fleet.addons.studies.statistics import Estimate, PairedComparison, compare
@@ -26,7 +28,7 @@ from fleet.addons.studies.study_file import NamedStudy, study_named
 from fleet.addons.studies.summary import PointSummary, summarise
 from fleet.addons.studies.sweep import Progress, prepare, run_study
 from fleet.execution.execute import execute
-from fleet.execution.external_agents import on_wall_clock
+from fleet.execution.external_agents import uses_wall_clock
 from fleet.execution.options import Options
 from fleet.notebook import Pictures, html_table
 from fleet.result.result import Result
@@ -223,7 +225,7 @@ class Study:
         changes = [f"seed={seed}"]
         with trusting(trust):
             scenario = parse_scenario(row.scenario, record.scenario, changes, self._store.folder, Policy(A_STUDY))
-            if on_wall_clock(scenario):
+            if uses_wall_clock(scenario):
                 admit_programs(scenario.spec, scenario.reading.policy)
                 return run_stack(scenario, out)
         return execute(scenario, Options(out, in_process=True, quiet=True))
@@ -241,7 +243,7 @@ def open_study(directory: str | Path) -> Study:
     Raises:
         StudyError: there is none, it is damaged, or the extra `study` is not installed.
     """
-    need_extra()
+    require_extra()
     return Study(Store.open(Path(directory)))
 
 
@@ -278,9 +280,9 @@ def sweep(
         RunBroken: its workers cannot be started.
         TypeError: there is no such argument.
     """
-    need_extra()
+    require_extra()
     study = study_named(str(scenario)) or NamedStudy(StudySpec(str(scenario)))
-    spec = study.spec.changed(**keywords(StudySpec, {"vary": vary, **options}))
+    spec = study.spec.with_options(**keywords(StudySpec, {"vary": vary, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
     with trusting(trust):
         store, modules = prepare(plan_of(spec, study.origin), directory, spec)
@@ -330,7 +332,7 @@ class Boundary:
         Raises:
             StudyError: the study is damaged.
         """
-        return self._borders.found()
+        return self._borders.estimates()
 
     def write_picture(self, trust: bool = False, formats: Sequence[str] = ("png",)) -> Path:
         """Draw the borders, with what theory says of them, as `border.png` in the study's directory.
@@ -384,7 +386,7 @@ def boundary(
         StudyError: the study cannot be made or run.
         TypeError: there is no such argument.
     """
-    need_extra()
+    require_extra()
     spec = BoundarySpec(**keywords(BoundarySpec, {"along": along, "per": per, **options}))
     directory = new_directory(str(scenario)) if out is None else Path(out)
     with trusting(trust):

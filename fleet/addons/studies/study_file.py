@@ -132,17 +132,17 @@ class _Reader:
 
 def study_yaml(spec: StudySpec) -> str:
     """The text of a study as a file, which may stand anywhere on this machine."""
-    values = msgspec.to_builtins(placed(spec))
+    values = msgspec.to_builtins(with_whole_path(spec))
     values["seeds"] = int(spec.seeds) if spec.seeds.isdecimal() else spec.seeds
     if spec.set:
-        values["set"] = {key: _nested(text) for key, text in spec.set.items()}
+        values["set"] = {key: _parse_nested(text) for key, text in spec.set.items()}
     for key in ("net", "fault"):
         if len(values.get(key, ())) == 1:
             (values[key],) = values[key]
     return yaml_text({_KEY: {key: values[key] for key in spec.__struct_fields__ if key in values}})
 
 
-def placed(spec: StudySpec) -> StudySpec:
+def with_whole_path(spec: StudySpec) -> StudySpec:
     """The same study with the whole path of the scenario's file, so that it holds in every directory."""
     if not is_file(spec.scenario):
         return spec
@@ -156,7 +156,7 @@ def is_file(scenario: str, folder: Path = Path()) -> bool:
     return bool(Path(scenario).suffix) or "/" in scenario or (folder / scenario).exists()
 
 
-def _nested(text: str) -> Any:
+def _parse_nested(text: str) -> Any:
     if _NESTED.match(text):
         node, problems = read(Source("", text))
         if not problems and isinstance(node, Mapping | Items) and inline(plain(node)) == text:

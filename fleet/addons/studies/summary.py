@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from fleet.addons.studies.measures import JUDGED, MeasureColumn, columns_of_checks, find_columns
+from fleet.addons.studies.measures import JUDGED, MeasureColumn, columns_of_checks
 from fleet.addons.studies.row import LATE, PREFIX, Reached
+from fleet.addons.studies.signal_measures import find_columns
 from fleet.addons.studies.statistics import Estimate
-from fleet.addons.studies.stopping import estimated
+from fleet.addons.studies.stopping import estimate
 from fleet.addons.studies.store import Store
 
 DEFAULT = ("formation_final_m", "age_p95_s", "loss_share")
@@ -41,12 +42,12 @@ def summarise(store: Store, measures: Sequence[MeasureColumn] = ()) -> list[Poin
         rows = list(each)
         lates = sum(row.status == LATE for row in rows)
         failed = sum(not row.has_result for row in rows) - lates
-        medians = {column.name: estimated(rows, column) for column in chosen}
-        found.append(PointSummary(store.points[number].values, len(rows), failed, lates, estimated(rows), medians))
+        medians = {column.name: estimate(rows, column) for column in chosen}
+        found.append(PointSummary(store.points[number].values, len(rows), failed, lates, estimate(rows), medians))
     return found
 
 
-def reached(store: Store) -> list[Reached]:
+def sometimes_reached(store: Store) -> list[Reached]:
     """How often the runs of a study reached what some run must reach. Raises StudyError."""
     found = [Reached(c.name.removeprefix(PREFIX)) for c in store.record.columns if c.name.startswith(PREFIX)]
     if found:

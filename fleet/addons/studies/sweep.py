@@ -13,31 +13,25 @@ from importlib.metadata import version
 from math import inf
 from pathlib import Path
 
-from fleet.addons.studies.engine import Engine, engine_of
+from fleet.addons.studies.engine import engine_of
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import (
-    STANDING,
-    MeasureColumn,
-    columns_of_checks,
-    find_columns,
-    is_signal,
-    measures_of_checks,
-    signal_columns_of,
-)
+from fleet.addons.studies.measures import STANDING, MeasureColumn, columns_of_checks
 from fleet.addons.studies.modules import NO_MODULES, Modules, modules_of
 from fleet.addons.studies.one_run import A_STUDY, Task
 from fleet.addons.studies.plan import Plan, Point, run_key
 from fleet.addons.studies.record import VERSION, BorderRecord, StudyRecord, axis_record
 from fleet.addons.studies.row import PREFIX, Row, sometimes_names
+from fleet.addons.studies.signal_measures import find_columns, is_signal, measures_of_checks, signal_columns_of
 from fleet.addons.studies.spec import KeepLogs, StudySpec
 from fleet.addons.studies.statistics import Estimate, pass_rate
-from fleet.addons.studies.stopping import parse_until, watched_by
+from fleet.addons.studies.stopping import parse_until, watched_measures
 from fleet.addons.studies.store import Store, StudyPoint
-from fleet.addons.studies.study_file import placed
+from fleet.addons.studies.study_file import with_whole_path
 from fleet.addons.studies.summary import DEFAULT, WITHOUT_PLACES
 from fleet.analysis.preflight import check_warnings
 from fleet.errors import Problem, ScenarioError
-from fleet.execution.external_agents import on_wall_clock, refuse
+from fleet.execution.external_agents import refuse, uses_wall_clock
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
@@ -96,7 +90,7 @@ def prepare(
     first, path = scenarios[0], Path(plan.scenario)
     folder = path.parent.resolve() if path.exists() else None
     judged_by = "" if border is None else border.check
-    measures, columns = declared(spec or StudySpec(plan.scenario, check=judged_by), scenarios)
+    measures, columns = measure_columns(spec or StudySpec(plan.scenario, check=judged_by), scenarios)
     record = StudyRecord(
         version=VERSION,
         scenario=first.name,
@@ -108,9 +102,9 @@ def prepare(
         made_by=version("uuv-fleet"),
         measures=measures,
         folder=None if folder is None else str(folder),
-        spec=None if spec is None else placed(spec),
+        spec=None if spec is None else with_whole_path(spec),
         border=border,
-        programs=on_wall_clock(first),
+        programs=uses_wall_clock(first),
     )
     texts: dict[str, Point] = {}
     for point, scenario in zip(plan.points, scenarios, strict=True):
@@ -121,7 +115,7 @@ def prepare(
     return Store.create(directory, record, [(point.values, text) for text, point in texts.items()]), modules
 
 
-def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str, ...], list[MeasureColumn]]:
+def measure_columns(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str, ...], list[MeasureColumn]]:
     """The measures that the table shows, as columns are named, and all columns of measures. Raises StudyError: there
     is no such check or measure.
 
@@ -132,7 +126,7 @@ def declared(spec: StudySpec, scenarios: Sequence[Scenario]) -> tuple[tuple[str,
     checked = measures_of_checks(scenarios)
     if not measures and (checked or usual is not DEFAULT):
         measures = (*usual, *checked)
-    watched = watched_by(spec.until) if spec.until else []
+    watched = watched_measures(spec.until) if spec.until else []
     columns = [*STANDING, *signal_columns_of(filter(is_signal, (*measures, *watched)), scenarios)]
     columns += [MeasureColumn(PREFIX + name, "") for name in sometimes_names(scenarios)]
     checks = check_names(scenarios)
@@ -192,7 +186,7 @@ def run_study(
     kept = store.record.rules.keep_logs if logs is None else logs
     work = Work(store, engine, on_progress, time.monotonic() + budget_s)
     signals = tuple(column.name for column in store.record.columns if is_signal(column.name))
-    with store.locked():
+    with store.lock():
         like = Task("", 0, 0, store.record.scenario, "", timeout_s, modules, signals, keep=str(store.logs))
         with suppress(_BudgetSpent):
             _make_missing(work, like._replace(modules=engine.carry(modules)))
@@ -255,7 +249,7 @@ class Work:
 
 def _make_missing(work: Work, like: Task) -> None:
     store, progress = work.store, work.progress
-    needed, done = store.needed(), set[tuple[int, int]]()
+    needed, done = store.needed_seeds(), set[tuple[int, int]]()
     for row in store.rows():
         done.add((row.point, row.seed))
         progress.count(row.passed)
@@ -265,7 +259,7 @@ def _make_missing(work: Work, like: Task) -> None:
         if not made - done:  # or this would go on for ever
             raise StudyError(f"{store.directory} is damaged: runs that were made are missing all the same")
         done |= made
-        needed = store.needed(needed)
+        needed = store.needed_seeds(needed)
         progress.runs = sum(needed.values())
 
 
@@ -322,9 +316,6 @@ def _keep_logs(work: Work, like: Task, kept: KeepLogs) -> None:
         engine.make(again, take, work.wait)
 
 
-# Two points have the same mistake if it differs only in the value that is varied, or in numbers. So a wrong key is
-# reported once, not per value.
-
 _NUMBER = re.compile(rf"(?<!\w){NUMBER.pattern}", re.ASCII)
 
 
@@ -354,10 +345,13 @@ def point_warnings(plan: Plan, scenarios: Sequence[Scenario]) -> list[str]:
     for point, scenario in zip(plan.points, scenarios, strict=True):
         for text in check_warnings(scenario):
             found.setdefault(_without_values(text, point), (text, []))[1].append(point)
-    return [text + _of_points(points, plan) for text, points in found.values()]
+    return [text + _points_words(points, plan) for text, points in found.values()]
 
 
 def _same(problem: Problem, point: Point) -> str:
+    """A text that is equal where two points have the same mistake: it differs only in the value that is varied, or in
+    numbers. So a wrong key is reported once, not per value.
+    """
     words = _without_values(f"{problem.message}\n{problem.hint}", point)
     if problem.file.startswith("--"):  # its value may be the one that is varied, so columns differ
         return f"{_without_values(problem.file, point)}\n{words}"
@@ -382,10 +376,10 @@ def _with_points(problem: Problem, points: list[Point], plan: Plan) -> Problem:
         )
     elif "." not in key and hint.startswith("known here"):  # all keys would hide the way to a name of one's own
         hint = f"a key of a scenario, such as network.period; or use it, as in --net '* loss {{{key}}}'"
-    return replace(problem, message=problem.message + _of_points(points, plan), hint=hint)
+    return replace(problem, message=problem.message + _points_words(points, plan), hint=hint)
 
 
-def _of_points(points: list[Point], plan: Plan) -> str:
+def _points_words(points: list[Point], plan: Plan) -> str:
     if len(points) == len(plan.points):
         return ""
     return f" (in {len(points)} of {len(plan.points)} points, first {points[0].shown})"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from fleet.quantities import vehicle_numbers
-from fleet.scenario.faults.kind import OfFleet, OfLinks
+from fleet.scenario.faults.kind import FleetFaultKind, LinkFaultKind
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import LinkFault, PartitionFault
 from fleet.scenario.faults.partitions import partition
@@ -38,7 +38,7 @@ def targets(kind: str, value: Any, vehicles: int, seed: int, name: str) -> Targe
             return _cut_off(value, vehicles, seed, name)
         case LinkFault():
             return Targets([*value], lambda some, _: {key: value[key] for key in some})
-        case OfLinks() | OfFleet():
+        case LinkFaultKind() | FleetFaultKind():
             return None
     try:
         if not isinstance(value, dict):
@@ -88,9 +88,9 @@ def narrower(kind: str, value: Any, links: Sequence[Link]) -> Iterator[Any]:
         for key, condition in value.items():
             for less in _selectors(key, links):
                 yield {less if other == key else other: what for other, what in value.items()} | {less: condition}
-    elif isinstance(KINDS[kind], OfLinks) and isinstance(value, dict):
+    elif isinstance(KINDS[kind], LinkFaultKind) and isinstance(value, dict):
         yield from (value | {"links": less} for less in _selectors(value["links"], links))
-    elif isinstance(KINDS[kind], OfLinks):
+    elif isinstance(KINDS[kind], LinkFaultKind):
         yield from _selectors(value, links)
 
 

@@ -121,7 +121,7 @@ def axis(key: str, text: str, *, fine: int = 0) -> Axis:
     try:
         if ".." in text and not any(mark in text for mark in "{[\"'"):
             return _range(key, text, fine)
-        return _listed(key, text)
+        return _listed_axis(key, text)
     except StudyError as error:
         raise StudyError(f"{key}={text.strip()[:80]}: {error}") from None
 
@@ -140,7 +140,7 @@ def _value_text(value: object, *, listed: bool = False) -> str:
     return f'"{text}"' if listed and "," in text and not re.search("[\\[{\"']", text) else text
 
 
-def _listed(key: str, text: str) -> Axis:
+def _listed_axis(key: str, text: str) -> Axis:
     texts = [part.strip() for part in _split(text)]
     if not any(texts):
         raise StudyError("expected values, got nothing")
@@ -172,8 +172,8 @@ def _range(key: str, text: str, fine: int) -> Axis:
     if low >= high:
         raise StudyError("the low end must be below the high end")
     if match["how"]:
-        made = _counted(key, unit, low, high, match["how"], int(match["count"]))
-        return made if match["step"] is None else _in_steps(made, _step(match, unit, low, high))
+        made = _counted_axis(key, unit, low, high, match["how"], int(match["count"]))
+        return made if match["step"] is None else _round_axis(made, _step(match, unit, low, high))
     if match["step"] is None and fine:
         small = _round_step(high - low, fine)
         count = int((high - low) / small) + 1
@@ -184,7 +184,7 @@ def _range(key: str, text: str, fine: int) -> Axis:
         step = exact_number(match["step"])
         if step is None or step.denominator != 1 or step < 2:
             raise StudyError(f"a step needs a unit, as in /10 {unit}; a count is a whole number from 2 on")
-        return _counted(key, unit, low, high, "lin", int(step))
+        return _counted_axis(key, unit, low, high, "lin", int(step))
     step = _step(match, unit, low, high)
     count = (high - low) // step + 1
     if count > MOST_VALUES:
@@ -201,7 +201,7 @@ def _step(match: re.Match[str], unit: str, low: Fraction, high: Fraction) -> Fra
     return step
 
 
-def _in_steps(drawn: Axis, step: Fraction) -> Axis:
+def _round_axis(drawn: Axis, step: Fraction) -> Axis:
     if not drawn.sampled:
         raise StudyError("what is drawn can be rounded to a step: random or latin; lin and log say where each value is")
     return replace(drawn, step=_float(step))
@@ -214,7 +214,7 @@ def _round_step(span: Fraction, least: int) -> Fraction:
     return next(meeting, span / least)
 
 
-def _counted(key: str, unit: str, low: Fraction, high: Fraction, how: str, count: int) -> Axis:
+def _counted_axis(key: str, unit: str, low: Fraction, high: Fraction, how: str, count: int) -> Axis:
     words = " ".join(how.split())
     if words not in _HOWS:
         hint = nearest(words, _HOWS) or f"known: {', '.join(_HOWS)}"

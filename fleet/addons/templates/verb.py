@@ -174,7 +174,7 @@ def _write_modules(
     written = [folder / f"{name}{suffix}" for suffix in templates]
     _refuse_existing(written)
     for module in (path.stem for path in written if path.suffix == ".py"):
-        if (place := _taken(module)) is not None:
+        if (place := _importable_place(module)) is not None:
             raise FleetError(
                 f"Python has a module {module!r} already ({place}) and would find that one; choose another name"
             )
@@ -209,7 +209,7 @@ def _write(folder: Path, texts: Mapping[Path, str]) -> None:
         raise FleetError(f"cannot write into {folder}: {error.strerror or error}") from None
 
 
-def _taken(name: str) -> str | None:
+def _importable_place(name: str) -> str | None:
     """Where `import name` would find a module now; None if it would not."""
     try:
         found = importlib.util.find_spec(name)

@@ -9,7 +9,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from fleet.analysis.border import LinearFleet
-from fleet.analysis.link_shares import effective_loss, written
+from fleet.analysis.link_shares import changing_links, effective_loss
 from fleet.analysis.randomness import may_draw
 from fleet.analysis.slots import slack
 from fleet.analysis.stability import Analysis, oldest_s
@@ -114,7 +114,7 @@ class Checked(Struct):
     not_checked: Annotated[list[ProblemRow], Meta(description="Laws that may not run here and were not checked.")]
 
 
-def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: Sequence[Problem]) -> Checked:
+def check_document(scenario: Scenario, found: Analysis, warnings: list[str], refused: Sequence[Problem]) -> Checked:
     """The document of a valid scenario. `refused`: the laws that were not checked."""
     return Checked(
         valid=True,
@@ -130,7 +130,7 @@ def checked(scenario: Scenario, found: Analysis, warnings: list[str], refused: S
         seed=scenario.seed,
         draws=may_draw(scenario),
         theory=_theory(scenario, found),
-        changing_links=[_changing(its, links) for _, its, links in written(scenario)],
+        changing_links=[_changing(its, links) for _, its, links in changing_links(scenario)],
         faults=[FaultTime.of(fault) for fault in timeline(scenario)],
         warnings=warnings,
         not_checked=problem_rows(refused),
@@ -216,7 +216,7 @@ class Compared(Struct):
     besides: Annotated[list[str], Meta(description="Metadata, attachments and declarations.")]
 
 
-def compared(
+def diff_document(
     paths: tuple[Path, Path], missing: tuple[str, str], found: LogComparison, tolerance: float, besides: list[str]
 ) -> Compared:
     """The document of a comparison."""

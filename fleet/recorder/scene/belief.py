@@ -92,7 +92,7 @@ class NewestBeliefs:
         return ((i, (off, cov)) for i, (at_s, off, cov) in self._newest[group].items() if t - at_s <= lasts_s)
 
 
-def drawn_belief(i: int, belief: PlaceBelief) -> list[Primitive]:
+def belief_primitives(i: int, belief: PlaceBelief) -> list[Primitive]:
     """The drawing of the belief of vehicle i, next to the vehicle; empty if the belief is not finite."""
     if not all(abs(value) < _MOST_M for value in belief.off):
         return []

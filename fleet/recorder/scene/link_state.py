@@ -80,7 +80,7 @@ class LinkHistory:
             self.sent_s = max(self.sent_s or 0.0, sent_s)
             self.arrived_s = max(self.arrived_s, due_s)
 
-    def told(self, sent_s: float) -> None:
+    def mark_sent(self, sent_s: float) -> None:
         """Take from somebody who knows the whole run when the newest that arrived was sent."""
         if self.sent_s is None:
             self.arrived_s = sent_s

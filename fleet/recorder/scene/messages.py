@@ -28,7 +28,7 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from fleet.recorder.scene.belief import PlaceBelief, drawn_belief
+from fleet.recorder.scene.belief import PlaceBelief, belief_primitives
 from fleet.recorder.scene.link_state import HISTORY, LinkState, mark_of, state_of
 from fleet.recorder.scene.model import SLENDER, SceneModel, diameter
 from fleet.recorder.scene.primitives import REFERENCE, CircleShape, CrossShape, Primitive, points_of
@@ -132,7 +132,7 @@ class Scene:
             if telemetry := self._telemetry.get(row.id):
                 x, y, _, *covariance = telemetry[WHERE_LOCATED]
                 belief = belief.by_ranges((x - row.eta[0], y - row.eta[1]), covariance)
-            drawn = drawn_belief(row.id, belief)
+            drawn = belief_primitives(row.id, belief)
         x, y, z = place
         values = [value for thing in drawn for dx, dy, dz in _ends(thing) for value in (x + dx, y + dy, z + dz)]
         key = row.id, len(values)

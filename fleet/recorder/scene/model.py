@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fleet.recorder.scene.belief import PlaceBelief, drawn_belief
+from fleet.recorder.scene.belief import PlaceBelief, belief_primitives
 from fleet.recorder.scene.link_state import ARRIVED, CUT, GONE, LinkState
 from fleet.recorder.scene.primitives import (
     NED,
@@ -99,7 +99,7 @@ class SceneModel:
             *([CrossShape(REFERENCE_POINT, FramePoint(REFERENCE), "reference")] if self.guided else []),
             *(CircleShape(f"vehicle {i}", place, i) for i, place in wanted),
             *(LineShape(f"vehicle {i}", (place, FramePoint(vehicle_frame(i)))) for i, place in wanted),
-            *(one for i, belief in sorted(beliefs.items()) for one in drawn_belief(i, belief)),
+            *(one for i, belief in sorted(beliefs.items()) for one in belief_primitives(i, belief)),
         ]
 
     def legend(self) -> list[LegendRow]:

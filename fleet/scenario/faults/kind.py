@@ -41,7 +41,7 @@ class Surroundings(NamedTuple):
     round_ticks: int = 1
     ticks: int = 1  # length of the run
 
-    def named(self, selector: str) -> tuple[Link, ...]:
+    def links_named(self, selector: str) -> tuple[Link, ...]:
         """The links of the graph that a selector names."""
         return select(parse_selector(selector), self.links)
 
@@ -57,7 +57,7 @@ class Strength(NamedTuple):
 
     def between(self, low: float, high: float) -> float:
         """The value at this strength, on a logarithmic scale and rounded to three digits."""
-        return between(low, high, self.size)
+        return interpolate(low, high, self.size)
 
     @property
     def later_ns(self) -> int:
@@ -66,12 +66,12 @@ class Strength(NamedTuple):
         return max(self.tick_ns, late // self.tick_ns * self.tick_ns)
 
 
-def between(low: float, high: float, strength: float) -> float:
+def interpolate(low: float, high: float, strength: float) -> float:
     """The value at `strength` (0 to 1) between `low` and `high` on a logarithmic scale, rounded to three digits."""
     return float(f"{low * (high / low) ** strength:.3g}")
 
 
-def of_network(
+def network_fault(
     times: TimedFault, effect: str, links: Sequence[Link] = (), vehicles: Sequence[int] = (), **more: Any
 ) -> NetFault:
     """What the network does during a fault."""
@@ -79,7 +79,7 @@ def of_network(
     return NetFault(times.id, times.begin, times.end, kind, tuple(links), tuple(vehicles), **more)
 
 
-def of_world(
+def world_fault(
     times: TimedFault, effect: WorldFaultKind, vehicles: Sequence[int], numbers: Sequence[float]
 ) -> WorldFault:
     """What the world does during a fault."""
@@ -94,8 +94,9 @@ def plane(size: float, angle: float, rest: str) -> str:
 class FaultKind:
     """A kind of fault. Schema, grammar, completion, page, rules, nemesis and `fleet shrink` read its attributes.
 
-    A kind is one class: its base says what it concerns (`OfLinks`, `OfVehicles`, `OfFleet`), its methods what it does
-    there, and `fleet.scenario.faults.kinds` names it. `values` are always those behind its name in a scenario.
+    A kind is one class: its base says what it concerns (`LinkFaultKind`, `VehicleFaultKind`, `FleetFaultKind`), its
+    methods what it does there, and `fleet.scenario.faults.kinds` names it. `values` are always those behind its name in
+    a scenario.
     """
 
     value: ClassVar[Any]  # the type of what a scenario has behind its name
@@ -148,7 +149,7 @@ class FaultKind:
         return target
 
 
-class OfLinks(FaultKind):
+class LinkFaultKind(FaultKind):
     """It concerns the links that a selector names."""
 
     acts_on = "network"
@@ -158,10 +159,10 @@ class OfLinks(FaultKind):
         return [values if isinstance(values, str) else values.links]
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
-        return [of_network(times, self.name, around.named(self.selectors(values)[0]))]
+        return [network_fault(times, self.name, around.links_named(self.selectors(values)[0]))]
 
 
-class OfVehicles(FaultKind):
+class VehicleFaultKind(FaultKind):
     """It concerns some vehicles, or all of them: by the number of each effect that the world has for it."""
 
     value: ClassVar[Any] = v.VehicleNumbers
@@ -182,7 +183,7 @@ class OfVehicles(FaultKind):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         who, effect = self.vehicles(values), WorldFaultKind(self.name)
-        return [of_world(times, effect, who, self.numbers(values))]
+        return [world_fault(times, effect, who, self.numbers(values))]
 
     def of_strength(self, target: str, strength: Strength) -> Any:
         values = self.values_of_strength(strength)
@@ -193,7 +194,7 @@ class OfVehicles(FaultKind):
         return {}
 
 
-class OfFleet(OfVehicles):
+class FleetFaultKind(VehicleFaultKind):
     """It concerns all vehicles, and names none."""
 
     def vehicles(self, values: Any) -> tuple[int, ...]:

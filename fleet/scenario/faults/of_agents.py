@@ -10,19 +10,19 @@ from fleet.scenario import value_types as v
 from fleet.scenario.faults.kind import (
     FaultKind,
     Kill,
-    OfVehicles,
     Part,
     SomeVehicles,
     Strength,
     Surroundings,
-    of_network,
-    of_world,
+    VehicleFaultKind,
+    network_fault,
+    world_fault,
 )
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import TimedFault
 
 
-class KillFault(OfVehicles):
+class KillFault(VehicleFaultKind):
     """The agent ends; the vehicle drifts until it is restarted."""
 
     example = "kill 3"
@@ -41,7 +41,7 @@ class KillFault(OfVehicles):
         return [Kill(times.id, times.begin, end, self.vehicles(values))]
 
 
-class PauseFault(OfVehicles):
+class PauseFault(VehicleFaultKind):
     """The agent is suspended; the vehicle holds its last command."""
 
     example = "pause 3"
@@ -52,12 +52,12 @@ class PauseFault(OfVehicles):
     offers = (("pause", "pause {0}"),)
 
 
-class _OfMessages(OfVehicles):
+class _OfMessages(VehicleFaultKind):
     acts_on = "network"
     drawn = "target"
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
-        return [of_network(times, self.name, vehicles=self.vehicles(values))]
+        return [network_fault(times, self.name, vehicles=self.vehicles(values))]
 
 
 class MuteFault(_OfMessages):
@@ -80,7 +80,7 @@ class SlowKeys(SomeVehicles):
     by: v.Ticks
 
 
-class SlowFault(OfVehicles):
+class SlowFault(VehicleFaultKind):
     """The commands and the messages of an agent are late."""
 
     value = SlowKeys
@@ -93,8 +93,8 @@ class SlowFault(OfVehicles):
         who = self.vehicles(values)
         everyone = who or tuple(range(1, around.vehicles + 1))
         return [
-            of_network(times, "slow", vehicles=everyone, ticks=values.by),
-            of_world(times, WorldFaultKind.SLOW, who, (float(values.by),)),
+            network_fault(times, "slow", vehicles=everyone, ticks=values.by),
+            world_fault(times, WorldFaultKind.SLOW, who, (float(values.by),)),
         ]
 
     def values_of_strength(self, strength: Strength) -> dict[str, str]:
@@ -107,7 +107,7 @@ class ClockKeys(SomeVehicles):
     drift: v.ClockDrift = 0.0
 
 
-class ClockFault(OfVehicles):
+class ClockFault(VehicleFaultKind):
     """A clock, of the agent and its modem, is set to another time, and goes faster or slower. At the end the step is
     undone."""
 
@@ -123,8 +123,8 @@ class ClockFault(OfVehicles):
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         who, numbers = self.vehicles(values), self.numbers(values)
         return [
-            of_network(times, "clock", vehicles=who, values=numbers),
-            of_world(times, WorldFaultKind.CLOCK, who, numbers),
+            network_fault(times, "clock", vehicles=who, values=numbers),
+            world_fault(times, WorldFaultKind.CLOCK, who, numbers),
         ]
 
     def values_of_strength(self, strength: Strength) -> dict[str, str]:

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, PlainSerializer
 
 from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
-from fleet.scenario.faults.kind import FaultKind, OfLinks, Part, Strength, Surroundings, of_network
+from fleet.scenario.faults.kind import FaultKind, LinkFaultKind, Part, Strength, Surroundings, network_fault
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.value_types import Section, mistake, word_for
 from netem.wire.messages import TimedFault
@@ -22,7 +22,7 @@ def _conditions(value: Any) -> Any:
     return value
 
 
-class LinkFault(OfLinks):
+class LinkFault(LinkFaultKind):
     """Links have another condition in place of their own."""
 
     value = Annotated[dict[v.LinkSelector, v.LinkCondition], BeforeValidator(_conditions)]
@@ -39,12 +39,12 @@ class LinkFault(OfLinks):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         return [
-            of_network(times, "link", around.named(selector), condition=condition)
+            network_fault(times, "link", around.links_named(selector), condition=condition)
             for selector, condition in values.items()
         ]
 
 
-class DownFault(OfLinks):
+class DownFault(LinkFaultKind):
     """Nothing passes."""
 
     example = "down 2->3"
@@ -52,7 +52,7 @@ class DownFault(OfLinks):
     offers = (("cut", "down {0}"),)
 
 
-class UpFault(OfLinks):
+class UpFault(LinkFaultKind):
     """The end of every down, and of the links' own."""
 
     example = "up 2->3"
@@ -69,7 +69,7 @@ class PartitionFault(FaultKind):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         cut = partition(values, around.vehicles, around.seed, times.id, around.links)
-        return [of_network(times, "partition", tuple(link for link in around.links if link in cut))]
+        return [network_fault(times, "partition", tuple(link for link in around.links if link in cut))]
 
 
 class HoldKeys(Section):
@@ -81,7 +81,7 @@ def _show_hold(hold: HoldKeys | None) -> Any:
     return hold and (hold.model_dump() if hold.order == "reversed" else hold.model_dump()["links"])
 
 
-class HoldFault(OfLinks):
+class HoldFault(LinkFaultKind):
     """Packets that are sent meanwhile are kept, and come when the fault is over."""
 
     value = Annotated[HoldKeys, word_for("links"), PlainSerializer(_show_hold)]
@@ -92,7 +92,7 @@ class HoldFault(OfLinks):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         back = (1.0,) if values.order == "reversed" else ()
-        return [of_network(times, "hold", around.named(values.links), values=back)]
+        return [network_fault(times, "hold", around.links_named(values.links), values=back)]
 
 
 class DuplicateKeys(Section):
@@ -100,7 +100,7 @@ class DuplicateKeys(Section):
     after: v.Period
 
 
-class DuplicateFault(OfLinks):
+class DuplicateFault(LinkFaultKind):
     """Packets that are sent meanwhile come once more, so much later."""
 
     value = DuplicateKeys
@@ -113,10 +113,17 @@ class DuplicateFault(OfLinks):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         later = values.after // around.tick_ns
-        return [of_network(times, "duplicate", around.named(values.links), ticks=later)]
+        return [network_fault(times, "duplicate", around.links_named(values.links), ticks=later)]
 
     def of_strength(self, target: str, strength: Strength) -> Any:
         return {"links": target, "after": f"{strength.later_ns} ns"}
 
 
-OF_LINKS: Sequence[FaultKind] = (DownFault(), LinkFault(), UpFault(), PartitionFault(), HoldFault(), DuplicateFault())
+OF_LINKS: Sequence[FaultKind] = (
+    DownFault(),
+    LinkFault(),
+    UpFault(),
+    PartitionFault(),
+    HoldFault(),
+    DuplicateFault(),
+)

@@ -13,12 +13,12 @@ from fleet.quantities import show_time
 from fleet.scenario import value_types as v
 from fleet.scenario.faults.kind import (
     FaultKind,
-    OfFleet,
-    OfVehicles,
+    FleetFaultKind,
     Part,
     SomeVehicles,
     Strength,
     Surroundings,
+    VehicleFaultKind,
     plane,
 )
 from fleet.scenario.value_types import Section, word_for
@@ -31,7 +31,7 @@ class EfficiencyKeys(SomeVehicles):
     yaw: v.Ratio = 1.0
 
 
-class EfficiencyFault(OfVehicles):
+class EfficiencyFault(VehicleFaultKind):
     """The share of each command that the actuators still produce."""
 
     value = EfficiencyKeys
@@ -56,7 +56,7 @@ class SaturateKeys(SomeVehicles):
 _ANY = 1e300  # N, N m: a limit that nothing reaches
 
 
-class SaturateFault(OfVehicles):
+class SaturateFault(VehicleFaultKind):
     """Smaller limits of the actuators."""
 
     value = SaturateKeys
@@ -70,14 +70,14 @@ class SaturateFault(OfVehicles):
         return all(number == _ANY for number in self.numbers(values))
 
 
-class OffFault(OfVehicles):
+class OffFault(VehicleFaultKind):
     """No force, no moments."""
 
     example = "off 3"
     drawn = "target"
 
 
-class StuckFault(OfVehicles):
+class StuckFault(VehicleFaultKind):
     """The force and moments of the tick at which it began."""
 
     example = "stuck 3"
@@ -100,7 +100,7 @@ def _show_current(current: CurrentSection | None) -> Any:
 CurrentValue = Annotated[CurrentSection, word_for("mean"), PlainSerializer(_show_current)]
 
 
-class CurrentFault(OfFleet):
+class CurrentFault(FleetFaultKind):
     """A current in addition to the sea's own."""
 
     value = CurrentValue
@@ -121,7 +121,7 @@ class GustKeys(Section):
     over: v.Period
 
 
-class GustFault(OfFleet):
+class GustFault(FleetFaultKind):
     """A current that rises to a velocity and falls again."""
 
     value = GustKeys
@@ -152,7 +152,7 @@ class WrenchKeys(SomeVehicles):
     yaw_moment: v.AnyMoment = 0.0
 
 
-class WrenchFault(OfVehicles):
+class WrenchFault(VehicleFaultKind):
     """A constant force and moment in body axes."""
 
     value = WrenchKeys

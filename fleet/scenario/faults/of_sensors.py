@@ -9,9 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from fleet.scenario import value_types as v
 from fleet.scenario.faults.kind import (
     FaultKind,
-    OfVehicles,
     SomeVehicles,
     Strength,
+    VehicleFaultKind,
     plane,
 )
 from fleet.scenario.value_types import Section
@@ -30,7 +30,7 @@ class NoiseKeys(SensorsSection):
     vehicles: v.VehicleNumbers | None = None
 
 
-class NoiseFault(OfVehicles):
+class NoiseFault(VehicleFaultKind):
     """More noise on the navigation."""
 
     value = NoiseKeys
@@ -53,7 +53,7 @@ class BiasKeys(SomeVehicles):
     roll_rate: v.SignedAngularRate = 0.0
 
 
-class BiasFault(OfVehicles):
+class BiasFault(VehicleFaultKind):
     """The navigation is off by a constant."""
 
     value = BiasKeys
@@ -69,7 +69,7 @@ class BiasFault(OfVehicles):
         return {"position": plane(strength.between(0.1, 5.0), tau * strength.turn, " 0 m")}
 
 
-class FreezeFault(OfVehicles):
+class FreezeFault(VehicleFaultKind):
     """The same measurement again and again."""
 
     example = "freeze 3"
@@ -82,7 +82,7 @@ class DropoutKeys(SomeVehicles):
     probability: Annotated[v.Probability, v.loss_once("probability")]
 
 
-class DropoutFault(OfVehicles):
+class DropoutFault(VehicleFaultKind):
     """The navigation sensor repeats its last measurement, with this probability at each tick."""
 
     value = DropoutKeys
@@ -94,7 +94,7 @@ class DropoutFault(OfVehicles):
         return {"loss": f"{strength.between(10, 100):g} %"}
 
 
-class _OfInstrument(OfVehicles):
+class _OfInstrument(VehicleFaultKind):
     """Samples of one instrument that are lost, biased, or jump."""
 
     every_number_strengthens = True

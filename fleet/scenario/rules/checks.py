@@ -20,7 +20,7 @@ from fleet.scenario.schema.checks import CHECK_NAME, EVERY, OF_THE_SCHEMA
 from fleet.scenario.schema.faults import ACTIONS
 from fleet.scenario.sections.node_signals import node_signals
 from fleet.scenario.sections.python_checks import load_check, parameters_of
-from fleet.scenario.sections.signal_checks import SignalCheckError, ask, of_a_plugin
+from fleet.scenario.sections.signal_checks import SignalCheckError, ask, is_of_plugin
 from fleet.scenario.sections.signals import BeliefKind, SignalPlace, VehicleSignals
 from fleet.scenario.sections.triggers import ask_moment, fault_of, trigger_name, wait_ns
 from netem.link_selector import parse_selector, select
@@ -107,7 +107,7 @@ def signal(parts: Parts, report: Report) -> None:
     vehicles = _signals(parts, report)
     for index, check in enumerate(checks):
         path: Path = ("checks", "signal", *(() if one else (index,)))
-        if vehicles is not None or not of_a_plugin(check.topic):
+        if vehicles is not None or not is_of_plugin(check.topic):
             try:
                 ask(check, vehicles or _known_to_all(parts))
             except SignalCheckError as error:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from fleet.quantities import show_time
-from fleet.scenario.faults.kind import OfLinks
+from fleet.scenario.faults.kind import LinkFaultKind
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import is_drawn, partition
@@ -23,7 +23,7 @@ from fleet.scenario.schema.faults import ACTIONS, FaultAction, FaultSection
 from fleet.scenario.schema.nemesis import OF_TARGET, NemesisSection
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.sections import episodes
-from fleet.scenario.sections.liveness import healed_at
+from fleet.scenario.sections.liveness import heal_time
 from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.swarm import span
 from netem.condition import Link
@@ -81,7 +81,7 @@ def nemesis(parts: Parts, report: Report) -> None:
     else:
         _mode(nemesis, parts, report)
     most = most_faults(spec)
-    if (drawn := fault_count(nemesis, parts.ground)) + len(spec.faults) > most:
+    if (drawn := fault_count(nemesis, parts.targets)) + len(spec.faults) > most:
         key, pace = ("every", f", one every {show_time(nemesis.every)}") if nemesis.every else ("mean", "")
         message = f"{drawn} faults{pace}, expected at most {most} in a scenario"
         report.add(("nemesis", key), message, "make it rarer, or end it earlier with until")
@@ -91,7 +91,7 @@ def nemesis(parts: Parts, report: Report) -> None:
         if pick.drawn is not None:
             if nemesis.mode is None and pick.drawn not in OF_TARGET:
                 report.add(path, f"{pick.drawn} has a strength that is drawn, which needs a mode", "write mode: swarm")
-            elif spec.network.ideal and not in_the_world(pick.drawn):
+            elif spec.network.ideal and not acts_on_world(pick.drawn):
                 report.add(path, f"{pick.drawn} needs a network, and this one is ideal", "give the network a period")
         else:
             report_fault(report, path, pick, spec, links)
@@ -145,10 +145,10 @@ def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
     if nemesis.mode == "episodes":
         _episodes(nemesis, parts, report)
         return
-    start, until = span(nemesis, parts.ground)
+    start, until = span(nemesis, parts.targets)
     end, key = until, "until"
     if nemesis.mode == "liveness":
-        end, key = healed_at(nemesis, parts.ground), "heal"
+        end, key = heal_time(nemesis, parts.targets), "heal"
         if end >= spec.duration:
             problem = f"{show_time(end)} is not before the end of the run, {show_time(spec.duration)}"
             report.add(("nemesis", key), problem, "heal the core earlier")
@@ -163,7 +163,7 @@ def _mode(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
 
 def _episodes(nemesis: NemesisSection, parts: Parts, report: Report) -> None:
     """There is room for an episode, and each kind can be drawn."""
-    planned = episodes.plan(nemesis, parts.ground)
+    planned = episodes.plan(nemesis, parts.targets)
     if parts.spec.network.ideal:
         report.add(("nemesis", "mode"), "episodes need a network, and this one is ideal", "give the network a period")
     if not planned.begins:
@@ -211,7 +211,7 @@ def fault_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, ..
     yield from _target_problems(fault, spec, links)
 
 
-def in_the_world(word: str) -> bool:
+def acts_on_world(word: str) -> bool:
     """Whether a kind, or what a nemesis draws, needs no network."""
     return word in KINDS and KINDS[word].acts_on == "vehicle"
 
@@ -220,7 +220,7 @@ def _target_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, 
     """Mistakes in the links or vehicles of a fault, and in its effect on them."""
     kind, values = fault.kind, fault.values
     name = kind.name
-    if spec.network.ideal and not in_the_world(name):
+    if spec.network.ideal and not acts_on_world(name):
         yield FaultProblem("", f"{name} needs a network, and this one is ideal", "give the network a period")
     elif kind.does_nothing(values):
         yield FaultProblem(name, "changes nothing: give it a value", at_key=True)
@@ -232,7 +232,7 @@ def _target_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, 
             return
         if not cut and not is_drawn(values):  # one that is drawn may cut no link, this time
             yield FaultProblem(name, "cuts no link of the graph")
-    elif isinstance(kind, OfLinks):
+    elif isinstance(kind, LinkFaultKind):
         if not kind.in_water and spec.network.acoustic is not None:
             yield FaultProblem(name, "acts on links of their own, and this network is acoustic", at_key=True)
         for uneven in filter(None, (no_whole_ticks(time, spec.tick) for time in kind.times(values))):

@@ -15,10 +15,10 @@ from agents.trajectory import PathError
 from fleet.quantities import RATE, SPEED, QuantityError, show, show_vector, vehicle_numbers
 from fleet.scenario.parts import Parts, UnknownValueError
 from fleet.scenario.rules.plugins import plugin
-from fleet.scenario.rules.report import Report, packed, vehicles_exist
+from fleet.scenario.rules.report import Report, number_text, vehicles_exist
 from fleet.scenario.schema.spec import sections
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.per_vehicle import Entries, given, law_names, used, wrong_model
+from fleet.scenario.sections.per_vehicle import Entries, given_values, law_names, used_keys, wrong_model
 from fleet.scenario.sections.vehicle_files import mass_problems
 from world.plants.classes import SHIPPED, plant_class
 from world.vectors import Vec3
@@ -58,9 +58,9 @@ def per_vehicle(parts: Parts, report: Report) -> None:
     for text in report.keys("per_vehicle"):
         with suppress(QuantityError):  # reported by the schema
             vehicles_exist(spec, report, ("per_vehicle", text), text, key=True)
-        if packed(text) in seen:
-            report.add(("per_vehicle", text), f'the same vehicles as "{seen[packed(text)]}"', key=True)
-        seen[packed(text)] = text
+        if number_text(text) in seen:
+            report.add(("per_vehicle", text), f'the same vehicles as "{seen[number_text(text)]}"', key=True)
+        seen[number_text(text)] = text
 
 
 def laws(parts: Parts, report: Report) -> None:
@@ -116,11 +116,11 @@ def _ineffective(parts: Parts) -> Iterator[tuple[tuple[str, ...], str]]:
             if any(n is not None and ":" in n[kind == "tracking"] for n in names):
                 continue
             running = {n[kind == "tracking"] for n in names if n is not None}
-            keys: set[str] = set().union(*(used(kind, law) for law in running))
-            for key in given(section).keys() - {"law", "parameters"} - keys:
+            keys: set[str] = set().union(*(used_keys(kind, law) for law in running))
+            for key in given_values(section).keys() - {"law", "parameters"} - keys:
                 laws = ", ".join(sorted(running)) or "a controller that replaces it"
                 yield (*path, kind, key), f"has no effect on {kind} law {laws}"
-            if given(section).get("law") and not running:
+            if given_values(section).get("law") and not running:
                 message = "has no effect beside a controller that replaces guidance and tracking"
                 yield (*path, kind, "law"), message
 
@@ -208,7 +208,7 @@ def gain_bounds(parts: Parts, report: Report) -> None:
     for entries, law, section, name in parts.guidance():
         preset = profile(name)[0]
         k_min, k_max = section.k_min or preset.k_min, section.k_max or preset.k_max
-        if k_min > k_max and {"k_min", "k_max"} <= used("guidance", law):
+        if k_min > k_max and {"k_min", "k_max"} <= used_keys("guidance", law):
             path = report.origin(entries, "guidance", "k_max") or report.origin(entries, "guidance", "k_min")
             assert path is not None  # no profile is wrong by itself
             given_both = section.k_min is not None and section.k_max is not None

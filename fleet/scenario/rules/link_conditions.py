@@ -9,7 +9,7 @@ from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.network import LinkSection, LinkStateSection
 from fleet.scenario.sections.data_files import DataFileError
-from fleet.scenario.sections.graph import reached
+from fleet.scenario.sections.graph import reachable
 from fleet.scenario.sections.trace_table import TraceTable
 from netem.parsing import nearest
 
@@ -68,7 +68,7 @@ def _states(report: Report, path: Path, states: dict[str, LinkStateSection], tic
     }
     first = next(iter(states))
     for start, end in [*((first, name) for name in states), *((name, first) for name in states)]:
-        if end not in reached([start], after):
+        if end not in reachable([start], after):
             report.add(path, f"{start} never leads to {end}", "every state must lead to every other in the end")
             return
 
@@ -98,12 +98,12 @@ def _trace(parts: Parts, report: Report, path: Path, section: LinkSection) -> in
         for problem in error.problems:
             report.add((*path, "trace"), shown + problem)
         return 0
-    for key, problem, hint in _misused(section, table):
+    for key, problem, hint in _misuses(section, table):
         report.add((*path, key), problem, hint, key=key != "trace")
     return len(table.text()) + len(table.rows)  # a line break is two characters there
 
 
-def _misused(section: LinkSection, table: TraceTable) -> Iterator[tuple[str, str, str]]:
+def _misuses(section: LinkSection, table: TraceTable) -> Iterator[tuple[str, str, str]]:
     """The options that do not fit each other or the columns: key, sentence, and hint."""
     by_packet = section.by == "packet"
     times = [row.time_ns for row in table.rows if row.time_ns is not None]

@@ -8,7 +8,7 @@ from typing import Any
 from agents.trajectory import Path, PathError
 from fleet.quantities import show_time, vehicle_numbers
 from fleet.scenario.parts import Parts
-from fleet.scenario.rules.report import Report, dotted, unknown_vehicle
+from fleet.scenario.rules.report import Report, dotted_path, unknown_vehicle
 from fleet.scenario.schema.motion import FORMATION, GRAPH, REFERENCE, FormationShape, ShapeKeys
 from fleet.scenario.schema.spec import ScenarioSpec, sections
 from fleet.scenario.sections.graph import parse_edge
@@ -66,7 +66,7 @@ def shape_keys(report: Report, path: tuple[str | int, ...], section: Any, shape:
     for key in dict.fromkeys(key for other in known.values() for key in other.all):
         if getattr(section, key) is not None and key not in keys.all:
             others = " or ".join(name for name, other in known.items() if key in other.all)
-            hint = f"for another shape replace the section, as in --set '{dotted(path)}={{shape: {shape}, ...}}'"
+            hint = f"for another shape replace the section, as in --set '{dotted_path(path)}={{shape: {shape}, ...}}'"
             report.add((*path, key), f"has no effect on {shape}: it belongs to {others}", hint, key=True)
             fine = False
     return fine

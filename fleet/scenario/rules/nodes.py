@@ -35,7 +35,7 @@ def nodes(parts: Parts, report: Report) -> None:
             report.add(("checks", "punctual"), "has no effect without nodes", "on_time judges a run in real time")
         return
     _addresses(parts, report)
-    _isolated(parts, report)
+    _isolated_nodes(parts, report)
     _ports(parts, report)
     _keys(parts, report)
     water, free = spec.network.acoustic is not None, without_address(spec.nodes)
@@ -99,7 +99,7 @@ def contents(parts: Parts, report: Report) -> None:
         return
     drawn = {*_possible(spec), *CONDITIONS}
     for number, fault in enumerate(spec.faults):
-        if (wrong := unfit(spec, fault)) is not None:
+        if (wrong := why_impossible(spec, fault)) is not None:
             report.add(("faults", number), *wrong)
     if spec.nemesis is not None:
         for number, pick in enumerate(spec.nemesis.pick or ()):
@@ -114,12 +114,12 @@ def contents(parts: Parts, report: Report) -> None:
             report.add(("checks", key), "judges vehicles of ours", known, key=True)
 
 
-def unfit(spec: ScenarioSpec, fault: FaultSection) -> tuple[str, str] | None:
+def why_impossible(spec: ScenarioSpec, fault: FaultSection) -> tuple[str, str] | None:
     """Why a fault cannot act on these nodes, and what could; None: it can."""
     kind, possible = fault.kind.name, _possible(spec)
     if kind not in possible:
         return f"{kind} {_concerns(kind)}", f"known: {', '.join(sorted(possible))}"
-    if kind in _OF_PROGRAMS and (without := _without_program(spec, fault.kind.vehicles(fault.values))):
+    if kind in _OF_PROGRAMS and (without := _first_without_program(spec, fault.kind.vehicles(fault.values))):
         return f"{without} has no program that the run starts", "programs: {NODE: ...}"
     return None
 
@@ -132,7 +132,7 @@ def _concerns(kind: str) -> str:
     return "concerns vehicles of ours" + (" and programs that the run starts" if kind in _OF_PROGRAMS else "")
 
 
-def _without_program(spec: ScenarioSpec, vehicles: Sequence[int]) -> str:
+def _first_without_program(spec: ScenarioSpec, vehicles: Sequence[int]) -> str:
     """The first of some nodes that has no program, or an empty text."""
     nodes = list(spec.nodes or ())
     having = {node for _, node, _ in programs_of(spec.programs or {}, nodes)}
@@ -156,7 +156,7 @@ def _addresses(parts: Parts, report: Report) -> None:
             report.add((*path, "zenoh"), "has no effect without listen or connect", key=True)
 
 
-def _isolated(parts: Parts, report: Report) -> None:
+def _isolated_nodes(parts: Parts, report: Report) -> None:
     """Who is in a network namespace of its own has its neighbours there, and nobody else."""
     spec = parts.spec
     assert spec.nodes is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fleet.quantities import show_time
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report, whole_multiple
-from fleet.scenario.sections.per_vehicle import qp_period_ns, used
+from fleet.scenario.sections.per_vehicle import qp_period_ns, used_keys
 
 
 def duration(parts: Parts, report: Report) -> None:
@@ -23,7 +23,7 @@ def qp_period(parts: Parts, report: Report) -> None:
     spec = parts.spec
     for entries, law, section, name in parts.guidance():
         period = qp_period_ns(name, section, spec.tick)
-        if "qp_period" not in used("guidance", law) or period % spec.tick == 0:
+        if "qp_period" not in used_keys("guidance", law) or period % spec.tick == 0:
             continue
         path = report.origin(entries, "guidance", "qp_period")
         if path is not None:

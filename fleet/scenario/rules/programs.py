@@ -7,7 +7,14 @@ from pathlib import Path
 from fleet.scenario.parts import Parts
 from fleet.scenario.rules.report import Report
 from fleet.scenario.schema.checks import WAIVED
-from fleet.scenario.schema.programs import OF_KEYS, PLACEHOLDERS, filled, no_placeholder, nodes_of, programs_of
+from fleet.scenario.schema.programs import (
+    OF_KEYS,
+    PLACEHOLDERS,
+    fill_placeholders,
+    no_placeholder,
+    nodes_of,
+    programs_of,
+)
 from netem.parsing import nearest
 
 _LIKE = 0.8  # {nodes} and {node}, and not {code}
@@ -34,7 +41,7 @@ def programs(parts: Parts, report: Report) -> None:
     for key, section in (spec.programs or {}).items():
         path, pattern = ("programs", key), key.partition("/")[0]
         if not nodes_of(pattern, names):
-            report.add(path, f"there is no node {pattern}", _known(pattern, names), key=True)
+            report.add(path, f"there is no node {pattern}", _hint(pattern, names), key=True)
         folder = Path(parts.folder or "", section.folder or "")
         if not folder.is_dir():
             report.add((*path, "in"), f"there is no folder {folder}", "it is looked for from the folder of the file")
@@ -76,7 +83,7 @@ def signals(parts: Parts, report: Report) -> None:
     for name, section in (spec.signals or {}).items() if nodes else ():
         found = nodes_of(section.of, nodes)
         if not found:
-            report.add(("signals", name, "of"), f"there is no node {section.of}", _known(section.of, nodes))
+            report.add(("signals", name, "of"), f"there is no node {section.of}", _hint(section.of, nodes))
         key = section.message
         if key is None:
             continue
@@ -85,7 +92,7 @@ def signals(parts: Parts, report: Report) -> None:
             continue
         if key.startswith("udp/"):
             ports = {node: [f"udp/{port}" for port in (spec.nodes or {})[node].udp] for node in found}
-            keys = [filled(key, {"node": node, "number": nodes.index(node) + 1}) for node in found]
+            keys = [fill_placeholders(key, {"node": node, "number": nodes.index(node) + 1}) for node in found]
             if found and not any(one in ports[node] for one, node in zip(keys, found, strict=True)):
                 known = ", ".join(port for some in ports.values() for port in some)
                 hint = f"they have {known}" if known else "nodes: {NODE: {udp: {PORT: ...}}}"
@@ -96,10 +103,10 @@ def signals(parts: Parts, report: Report) -> None:
         from netem.wire.robots import check_key  # here, because it imports zenoh
 
         for number, node in enumerate(nodes, start=1):
-            if node in found and (wrong := check_key(filled(key, {"node": node, "number": number}))):
+            if node in found and (wrong := check_key(fill_placeholders(key, {"node": node, "number": number}))):
                 report.add(("signals", name, "message"), f"zenoh takes no such key expression: {wrong}")
                 break
 
 
-def _known(name: str, names: list[str]) -> str:
+def _hint(name: str, names: list[str]) -> str:
     return nearest(name, names) or f"the nodes are {', '.join(names)}"

@@ -17,7 +17,7 @@ from netem.condition import Link
 LINKS_SHOWN = 12
 
 
-def dotted(path: Sequence[str | int]) -> str:
+def dotted_path(path: Sequence[str | int]) -> str:
     """A path as `--set` writes it: entries of a list count from 1."""
     return ".".join(str(step + 1) if isinstance(step, int) else step for step in path)
 
@@ -34,7 +34,7 @@ class Report:
     def add(self, path: tuple[str | int, ...], message: str, hint: str = "", *, key: bool = False) -> None:
         """Report a mistake, once, at the value (or the key) at `path`, or at its nearest ancestor that is there."""
         path = self._written(path)
-        name = dotted(path)
+        name = dotted_path(path)
         problem = locate(self.root, path, key=key).problem(f"{name}: {message}", hint, name)
         if problem not in self._added:
             self._added.add(problem)
@@ -45,7 +45,7 @@ class Report:
         if self.policy.refused is None:
             self.add(path, message, hint)
         else:
-            place, name = locate(self.root, self._written(path)), dotted(path)
+            place, name = locate(self.root, self._written(path)), dotted_path(path)
             self.policy.refused.append(place.problem(f"{name}: {message}", hint, name))
 
     def typed(self, path: tuple[str | int, ...]) -> bool:
@@ -59,7 +59,7 @@ class Report:
     def add_missing(self, path: tuple[str | int, ...], key: str, why: str) -> None:
         """Report a key that a section should have."""
         place = locate(self.root, path, key=True)
-        missing = place.problem(f'"{key}" is missing in "{dotted(path)}"{why}', key=dotted((*path, key)))
+        missing = place.problem(f'"{key}" is missing in "{dotted_path(path)}"{why}', key=dotted_path((*path, key)))
         self.problems.append(missing)
 
     def has(self, path: tuple[str, ...]) -> bool:
@@ -90,11 +90,11 @@ class Report:
         """`path` with its vehicle numbers as the file writes them, spaces included."""
         if len(path) < 2 or path[0] != "per_vehicle" or path[1] in self.keys("per_vehicle"):
             return path
-        text = next((text for text in self.keys("per_vehicle") if packed(text) == path[1]), path[1])
+        text = next((text for text in self.keys("per_vehicle") if number_text(text) == path[1]), path[1])
         return (path[0], text, *path[2:])
 
 
-def packed(numbers: str) -> str:
+def number_text(numbers: str) -> str:
     """Vehicle numbers as the schema keeps them."""
     return "".join(numbers.split())
 

@@ -19,7 +19,7 @@ from fleet.quantities import describe_value
 from fleet.scenario import value_types as v
 from fleet.scenario.schema.programs import ProgramsCheck
 from fleet.scenario.value_types import Section, mistake
-from world.plugins.loading import CHECKS, installed
+from world.plugins.loading import CHECKS, entry_points_of
 
 
 class Below(Section):
@@ -175,7 +175,7 @@ PYTHON = "<module>:<Class>"  # stands for the keys that name a class
 Instances = Annotated[list[dict[str, Any]], BeforeValidator(_instances)]
 
 
-def _listed(value: Any) -> Any:
+def _as_list(value: Any) -> Any:
     """A single check may be given without the list."""
     if isinstance(value, dict):
         return [value]
@@ -205,7 +205,7 @@ class ChecksSection(Section):
 
     formation_error: Below | None = None  # |eta_i - eta_i^d|
     consensus_error: Below | None = None  # |e_i| from true positions
-    recovery_time: Annotated[list[Recovery] | None, BeforeValidator(_listed), PlainSerializer(_show_list)] = None
+    recovery_time: Annotated[list[Recovery] | None, BeforeValidator(_as_list), PlainSerializer(_show_list)] = None
     min_separation: MinSeparation | None = None
     max_age: MaxAge | None = None
     connected: Connected | None = None
@@ -216,7 +216,7 @@ class ChecksSection(Section):
     middleware_loss: AtMost | None = None
     punctual: PunctualCheck | None = None  # nodes: on by default
     programs: ProgramsCheck | None = None  # that they run, or end well; of vehicles, that none fails; on by default
-    signal: Annotated[list[SignalCheck] | None, BeforeValidator(_listed), PlainSerializer(_show_signals)] = None
+    signal: Annotated[list[SignalCheck] | None, BeforeValidator(_as_list), PlainSerializer(_show_signals)] = None
     python: Annotated[dict[str, Instances] | None, Field(alias=PYTHON)] = None
 
     @model_validator(mode="before")
@@ -227,7 +227,7 @@ class ChecksSection(Section):
             return value
         known = cls.model_fields.keys() - {"python"}
         others = {key: one for key, one in value.items() if isinstance(key, str) and key not in known}
-        classes = {key: one for key, one in others.items() if ":" in key or key in installed(CHECKS)}
+        classes = {key: one for key, one in others.items() if ":" in key or key in entry_points_of(CHECKS)}
         return {key: one for key, one in value.items() if key not in classes} | ({PYTHON: classes} if classes else {})
 
     @model_serializer(mode="wrap")

@@ -133,7 +133,7 @@ def _preset(value: dict[str, Any]) -> Condition:
     if others := [key for key in value if key != "preset"]:
         hint = f"write its words in place of it, and change them: {presets[name].condition}"
         raise mistake(f"a preset is a whole condition, and {others[0]} has no place beside it", 0, hint)
-    return presets[name].parsed()
+    return presets[name].parse()
 
 
 def _link(value: Any) -> Any:

@@ -28,7 +28,7 @@ OF_KEYS = ("node", "number")  # placeholders that keys have
 _FORMATS = ("json", "msgpack", "cbor", "ros", "struct")
 
 
-def filled(text: str, values: Mapping[str, object]) -> str:
+def fill_placeholders(text: str, values: Mapping[str, object]) -> str:
     """A text with values in place of `{node}` and other placeholders; other braces stay as they are."""
     return re.sub(rf"\{{({'|'.join(PLACEHOLDERS)})\}}", lambda found: str(values.get(found[1], found[0])), text)
 
@@ -236,7 +236,7 @@ RUNNING, DONE = "running", "done"
 _Wanted = Literal["running", "done", "waived"]
 
 
-def _wanted(value: Any) -> Any:
+def _read_endings(value: Any) -> Any:
     return {"*": value} if isinstance(value, str) else value
 
 
@@ -246,10 +246,10 @@ def _show_wanted(value: Mapping[str, str] | None) -> Any:
 
 # running: it does not end by itself. done: it ends by itself before the run does, with status 0. Programs of vehicles
 # may do both, but not fail; waived: they may.
-ProgramsCheck = Annotated[dict[str, _Wanted], BeforeValidator(_wanted), PlainSerializer(_show_wanted)]
+ProgramsCheck = Annotated[dict[str, _Wanted], BeforeValidator(_read_endings), PlainSerializer(_show_wanted)]
 
 
-def wanted(check: Mapping[str, str] | None, name: str, node: str) -> str:
+def expected_ending(check: Mapping[str, str] | None, name: str, node: str) -> str:
     """What a check says of a program: the last pattern that fits its name or its node; `running` if none does."""
     fitting = [
         what for pattern, what in (check or {}).items() if fnmatchcase(name, pattern) or fnmatchcase(node, pattern)

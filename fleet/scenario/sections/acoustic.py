@@ -24,7 +24,7 @@ from agents.config import Codec
 from agents.localization import payload as located
 from agents.offset import Offset
 from fleet.scenario.schema.network import AcousticSection, FadingSection, ModemSection, NetworkSection, RangingSection
-from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, changed, load_modem, without_replaced
+from fleet.scenario.sections.modem_files import CURVES, NUMBERS, Values, load_modem, merge_values, without_replaced
 from fleet.scenario.sections.site_files import load_site
 from netem.modem import DEFAULT_GUARD_NS, SOUND_SPEED, AcousticConfig, Modem, RangingConfig
 from netem.propagation import SeaWater, sound_speed
@@ -47,7 +47,7 @@ def modem_values(section: ModemSection, folder: Path | None) -> Values:
     base = load_modem(section.modem, folder)
     given = {key: getattr(section, key) for key in _KEYS if getattr(section, key) is not None}
     changes = {key: value / 1e9 if key in _TIMES else value for key, value in given.items()}
-    return changed({key: getattr(base, key) for key in _KEYS}, changes)
+    return merge_values({key: getattr(base, key) for key in _KEYS}, changes)
 
 
 def inlined_modem(section: _Modem, folder: Path | None) -> _Modem:

@@ -36,7 +36,7 @@ class DataFileError(FleetError):
         self.problems = problems
 
 
-def shipped(package: str) -> list[str]:
+def shipped_names(package: str) -> list[str]:
     """The names, without `.toml`, of the TOML files in a package, sorted."""
     entries = resources.files(package).iterdir()
     return sorted(entry.name.removesuffix(".toml") for entry in entries if entry.name.endswith(".toml"))
@@ -49,7 +49,7 @@ def find(kind: str, name: str, package: str, folder: Path | None) -> tuple[bytes
 
     Raises DataFileError: there is no such file, it cannot be read, or it is larger than 100 kB.
     """
-    known = shipped(package)
+    known = shipped_names(package)
     if name in known:
         return (resources.files(package) / f"{name}.toml").read_bytes(), name
     if not name.endswith(".toml"):
@@ -142,7 +142,7 @@ def table(
     return numbers
 
 
-def out_of_range(numbers: Mapping[str, float], known: Mapping[str, Number]) -> list[str]:
+def range_problems(numbers: Mapping[str, float], known: Mapping[str, Number]) -> list[str]:
     """A line for each number that is outside its bounds, which belong to the range; all are in SI units."""
     problems = []
     for key, (dimension, low, high) in known.items():

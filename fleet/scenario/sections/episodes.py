@@ -69,9 +69,9 @@ class EpisodePlan(NamedTuple):
     begins: tuple[int, ...]
 
 
-def unit(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[int, str]:
+def unit(nemesis: NemesisSection, targets: NemesisTargets) -> tuple[int, str]:
     """The protocol's unit of time [ns], in whole rounds, and what states it."""
-    spec, round_ns = ground.spec, ground.round_ns
+    spec, round_ns = targets.spec, targets.round_ns
     found, origin = _ROUNDS * round_ns, f"{_ROUNDS} rounds"
     parameters = spec.agent.parameters if isinstance(spec.agent, AgentSection) else None
     if nemesis.unit is not None:
@@ -83,13 +83,13 @@ def unit(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[int, str]:
     return max(2, round(found / round_ns)) * round_ns, origin
 
 
-def plan(nemesis: NemesisSection, ground: NemesisTargets) -> EpisodePlan:
+def plan(nemesis: NemesisSection, targets: NemesisTargets) -> EpisodePlan:
     """The episodes of a run; none if there is no room for one."""
-    length, origin = unit(nemesis, ground)
+    length, origin = unit(nemesis, targets)
     start = length if nemesis.start is None else nemesis.start
-    until = ground.spec.duration if nemesis.until is None else min(nemesis.until, ground.spec.duration)
+    until = targets.spec.duration if nemesis.until is None else min(nemesis.until, targets.spec.duration)
     count = min(MOST_EPISODES, (until - start) // ((UNITS + QUIET) * length))
-    tick = ground.spec.tick
+    tick = targets.spec.tick
     apart = (until - start) // count // tick * tick if count > 0 else 0
     return EpisodePlan(length, origin, tuple(start + number * apart for number in range(count)))
 
@@ -100,30 +100,32 @@ def chance(isolations: int, vehicles: int, episodes: int) -> float:
     return float(1.0 - (1.0 - one) ** episodes)
 
 
-def draw(nemesis: NemesisSection, ground: NemesisTargets) -> tuple[list[FaultSection], list[TriggerSection]]:
+def draw(nemesis: NemesisSection, targets: NemesisTargets) -> tuple[list[FaultSection], list[TriggerSection]]:
     """The faults that the scenario's seed draws, in order of time; and those that wait for a report."""
-    work = _drawn(nemesis, ground)
+    work = _draw_all(nemesis, targets)
     return sorted(work.faults, key=lambda fault: fault.at), work.triggers
 
 
-def counted(nemesis: NemesisSection, ground: NemesisTargets, seeds: Iterable[int]) -> tuple[Counter[str], Counter[str]]:
+def count_episodes(
+    nemesis: NemesisSection, targets: NemesisTargets, seeds: Iterable[int]
+) -> tuple[Counter[str], Counter[str]]:
     """How many episodes of each kind and how many faults of each kind some seeds draw."""
     of_episodes, of_faults = Counter[str](), Counter[str]()
     for seed in seeds:
-        work = _drawn(nemesis, ground._replace(spec=ground.spec.model_copy(update={"seed": seed})))
+        work = _draw_all(nemesis, targets._replace(spec=targets.spec.model_copy(update={"seed": seed})))
         of_episodes += work.of_episodes
         of_faults += work.of_faults
     return of_episodes, of_faults
 
 
-def _drawn(nemesis: NemesisSection, ground: NemesisTargets) -> _Drawn:
+def _draw_all(nemesis: NemesisSection, targets: NemesisTargets) -> _Drawn:
     picked = [pick.drawn for pick in nemesis.pick or ()] or KINDS
-    among = [kind for kind in picked if kind and (ground.links or kind not in ("partition", "hold", "duplicate"))]
-    draws = _Draws(ground.spec.seed)
+    among = [kind for kind in picked if kind and (targets.links or kind not in ("partition", "hold", "duplicate"))]
+    draws = _Draws(targets.spec.seed)
     kinds = [kind for number, kind in enumerate(among) if draws.share(number, _ON) < 0.5]
     kinds = kinds or [among[draws.among(len(among), -1, _ON)]] * bool(among)
-    planned = plan(nemesis, ground)
-    work = _Drawn(nemesis, ground, draws, planned.unit, isolates="partition" in among)
+    planned = plan(nemesis, targets)
+    work = _Drawn(nemesis, targets, draws, planned.unit, isolates="partition" in among)
     for number, begin in enumerate(planned.begins if kinds else ()):
         work.episode(number, begin, kinds, last=number == len(planned.begins) - 1)
     return work
@@ -143,11 +145,11 @@ class _Drawn:
     """The faults drawn so far."""
 
     def __init__(
-        self, nemesis: NemesisSection, ground: NemesisTargets, draws: _Draws, unit_ns: int, *, isolates: bool
+        self, nemesis: NemesisSection, targets: NemesisTargets, draws: _Draws, unit_ns: int, *, isolates: bool
     ) -> None:
         self._isolates = isolates
-        self._nemesis, self._ground, self._draws, self._unit = nemesis, ground, draws, unit_ns
-        self._taken = {fault.id for fault in ground.spec.faults} | {one.id for one in ground.spec.triggers}
+        self._nemesis, self.targets, self._draws, self._unit = nemesis, targets, draws, unit_ns
+        self._taken = {fault.id for fault in targets.spec.faults} | {one.id for one in targets.spec.triggers}
         self._gone = set[int]()  # vehicles that a kill ends for good
         self.faults: list[FaultSection] = []
         self.triggers: list[TriggerSection] = []
@@ -172,19 +174,19 @@ class _Drawn:
             kind = "partition" if isolates else kinds[draws.among(len(kinds), k, _KIND)]
             at = self._after(begin, 8 * draws.among(UNITS, k, _UNIT) + draws.among(8, k, _EIGHTH))
             if k > first and not isolates and draws.share(k, _THEN) < 0.5:
-                at = max(begin, times[draws.among(2, k, _THEN)] // self._ground.round_ns * self._ground.round_ns)
-            at = min(at, begin + UNITS * self._unit - self._ground.round_ns)
+                at = max(begin, times[draws.among(2, k, _THEN)] // self.targets.round_ns * self.targets.round_ns)
+            at = min(at, begin + UNITS * self._unit - self.targets.round_ns)
             length = self._length(k, begin + UNITS * self._unit - at)
             for_good = last and not isolates and kind in _FOR_GOOD and draws.share(k, _GOOD) < 0.25
             lasts = None if for_good else length
-            waits = self._nemesis.watch and self._ground.spec.vehicles > 1 and not isolates
+            waits = self._nemesis.watch and self.targets.spec.vehicles > 1 and not isolates
             if waits and draws.share(k, _WATCH) < 1.0 / 3.0:
                 self._wait(k, kind, at, begin, lasts)
                 continue
-            who = [1 + draws.among(self._ground.spec.vehicles, k, _WHO)] if isolates else self._target(k, side, before)
+            who = [1 + draws.among(self.targets.spec.vehicles, k, _WHO)] if isolates else self._target(k, side, before)
             if for_good and kind == "kill":
                 gone = self._gone | {*who}
-                if len(gone) < self._ground.spec.vehicles:
+                if len(gone) < self.targets.spec.vehicles:
                     self._gone = gone
                 else:  # nobody would be left to judge
                     lasts = length
@@ -196,13 +198,13 @@ class _Drawn:
 
     def _split(self, k: int, begin: int, kinds: list[str]) -> None:
         """Draw an episode that cuts off half of the fleet from the others."""
-        draws, n, end = self._draws, self._ground.spec.vehicles, begin + UNITS * self._unit
+        draws, n, end = self._draws, self.targets.spec.vehicles, begin + UNITS * self._unit
         drawn = self._shuffled(k)
         side, who = sorted(drawn[: max(1, n // 2)]), drawn[draws.among(n, k, _NTH)]
         at, moved = self._after(begin, draws.among(8, k, _EIGHTH)), sorted({*side} ^ {who})
         moves = 0 < len(moved) < n and draws.share(k, _MOVES) < _MOVING
         if moves:
-            lasts = max(self._ground.round_ns, self._after(0, 1 + draws.among(8, k, _UNIT)))
+            lasts = max(self.targets.round_ns, self._after(0, 1 + draws.among(8, k, _UNIT)))
         else:
             lasts = end - at if draws.share(k, _GOOD) < 0.5 else self._length(k, end - at)
         self._add(k, self._body(k, "partition", side), at, lasts)
@@ -216,16 +218,16 @@ class _Drawn:
         if moves and draws.share(k, _THEN) < _AT_ONCE:
             # Not a round later: by then it has told the other side what it knew, so its empty memory does no harm.
             target = [who]
-            lasts = min(max(self._ground.round_ns, self._after(0, 4 * draws.among(2, k, _LENGTH))), end - at)
+            lasts = min(max(self.targets.round_ns, self._after(0, 4 * draws.among(2, k, _LENGTH))), end - at)
         else:
-            at = min(self._after(at, draws.among(8, k, _EIGHTH)), end - self._ground.round_ns)
+            at = min(self._after(at, draws.among(8, k, _EIGHTH)), end - self.targets.round_ns)
             target = ([who] if moves else drawn[:1], drawn[:1], [who], side)[draws.among(4, k, _TARGET)]
             lasts = self._length(k, end - at)
         self._add(k, self._body(k, kind, target), at, lasts)
 
     def _after(self, begin: int, eighths: int) -> int:
         """The time some eighths of a unit after another one [ns], in whole ticks."""
-        tick = self._ground.spec.tick
+        tick = self.targets.spec.tick
         return begin + eighths * self._unit // 8 // tick * tick
 
     def _shuffled(self, k: int) -> list[int]:
@@ -235,17 +237,17 @@ class _Drawn:
             hundreds, rest = divmod(i - 1, 100)  # a number has room for a hundred vehicles
             return self._draws.share(100 * k + rest + 1, _WHO + _PURPOSES * hundreds), i
 
-        return sorted(range(1, self._ground.spec.vehicles + 1), key=place)
+        return sorted(range(1, self.targets.spec.vehicles + 1), key=place)
 
     def _length(self, k: int, most: int) -> int:
-        round_ns, whole = self._ground.round_ns, self._unit
+        round_ns, whole = self.targets.round_ns, self._unit
         lengths = (round_ns, whole // 2, whole - round_ns, whole + round_ns, 2 * whole, 3 * whole)
-        tick = self._ground.spec.tick
+        tick = self.targets.spec.tick
         return max(round_ns, min(lengths[self._draws.among(len(lengths), k, _LENGTH)], most) // tick * tick)
 
     def _target(self, k: int, side: list[int], before: list[int]) -> list[int]:
         """The vehicles of a fault. `side`: of the partition before it; `before`: of the fault before it."""
-        draws, n, drawn = self._draws, self._ground.spec.vehicles, self._shuffled(k)
+        draws, n, drawn = self._draws, self.targets.spec.vehicles, self._shuffled(k)
         some = [drawn[:1], drawn[:1], drawn[: max(1, (n - 1) // 2)], drawn[: n // 2 + 1], drawn[: max(1, n - 1)]]
         some += [one for one in (side, before) if one]
         if side:  # one vehicle changes sides
@@ -254,7 +256,7 @@ class _Drawn:
 
     def _body(self, k: int, kind: str, who: list[int]) -> dict[str, Any]:
         """The fault of a kind with these vehicles."""
-        spec, links = self._ground.spec, self._ground.links
+        spec, links = self.targets.spec, self.targets.links
         numbers = ",".join(map(str, who))
         match kind:
             case "partition":
@@ -273,7 +275,7 @@ class _Drawn:
 
     def _links_of(self, k: int, one: int, form: int) -> str:
         """A selector of links of vehicle `one`. It selects all that go out, all that come in, or one of these."""
-        links = self._ground.links
+        links = self.targets.links
         out, into = [link for link in links if link[0] == one], [link for link in links if link[1] == one]
         if not (out or into):
             return "*"
@@ -291,7 +293,7 @@ class _Drawn:
 
     def _wait(self, k: int, kind: str, at: int, begin: int, lasts: int | None) -> None:
         """A fault that waits a unit for a report, and is over when the episode has two quiet units left."""
-        draws, round_ns, topics = self._draws, self._ground.round_ns, self._nemesis.watch or []
+        draws, round_ns, topics = self._draws, self.targets.round_ns, self._nemesis.watch or []
         form = draws.among(4, k, _FORM)
         who = "others" if form == 3 and kind != "partition" else "itself"
         self.of_faults[kind] += 1
@@ -301,7 +303,7 @@ class _Drawn:
         elif kind in ("hold", "duplicate"):
             links = ("itself->*", "*->itself")[form % 2]
             fault = {kind: {"links": links} | ({"after": show_time(self._unit)} if kind == "duplicate" else {})}
-        waits, tick = (round_ns, 2 * round_ns, self._unit // 4, self._unit // 2), self._ground.spec.tick
+        waits, tick = (round_ns, 2 * round_ns, self._unit // 4, self._unit // 2), self.targets.spec.tick
         at = begin + (at - begin) // 2 // tick * tick
         topic, _, above = topics[draws.among(len(topics), k, _WATCH)].partition(" above ")
         moment = {"above": above} if above else {"changes": True}

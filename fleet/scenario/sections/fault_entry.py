@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from fleet.quantities import QuantityError, vehicle_numbers
 from fleet.scenario.schema.faults import FaultAction
-from fleet.scenario.sections.node_names import named
+from fleet.scenario.sections.node_names import to_names
 
 TUMBLED, DIVERGED = "tumbled", "diverged"  # what befalls vehicles
 
@@ -37,10 +37,10 @@ def words_of(entry: str, names: Sequence[str] = ()) -> str:
     """A fault as a scenario writes it. `names`: of the nodes, if it has some."""
     kind, value = next(iter(values_of(entry).items()))
     if kind == "link":
-        return "link " + ", ".join(f"{named(selector, names)}: {condition}" for selector, condition in value.items())
+        return "link " + ", ".join(f"{to_names(selector, names)}: {condition}" for selector, condition in value.items())
     if isinstance(value, dict):
         return f"{kind} {{{', '.join(f'{key}: {inner}' for key, inner in value.items())}}}"
-    return f"{kind} {named(value, names)}"
+    return f"{kind} {to_names(value, names)}"
 
 
 def values_of(entry: str) -> dict[str, Any]:

@@ -47,7 +47,7 @@ class Graph:
         return found
 
 
-def beside(pairs: Iterable[Link]) -> dict[int, list[int]]:
+def neighbours(pairs: Iterable[Link]) -> dict[int, list[int]]:
     """The neighbours of each vehicle that is in a pair."""
     found: dict[int, list[int]] = {}
     for a, b in pairs:
@@ -56,7 +56,7 @@ def beside(pairs: Iterable[Link]) -> dict[int, list[int]]:
     return found
 
 
-def reached(starts: Iterable[T], hearers: Mapping[T, Iterable[T]]) -> set[T]:
+def reachable(starts: Iterable[T], hearers: Mapping[T, Iterable[T]]) -> set[T]:
     """The vehicles that what `starts` say can reach, also through others; themselves included.
 
     `hearers`: who receives from a vehicle; none where it is missing.

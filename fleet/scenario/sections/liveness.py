@@ -15,7 +15,7 @@ from fleet.scenario.schema.checks import ChecksSection, SignalCheck
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import NemesisSection
 from fleet.scenario.sections import swarm
-from fleet.scenario.sections.graph import beside
+from fleet.scenario.sections.graph import neighbours
 from fleet.scenario.sections.nemesis_targets import NemesisTargets, free_name
 from netem.draws import bits, uniform
 
@@ -25,26 +25,26 @@ _IDEAL = ("off",)
 _CORE, _BREAKS, _WHEN = range(3)  # what is drawn
 
 
-def healed_at(nemesis: NemesisSection, ground: NemesisTargets) -> int:
+def heal_time(nemesis: NemesisSection, targets: NemesisTargets) -> int:
     """When the core is healed [ns]."""
-    spec = ground.spec
+    spec = targets.spec
     return spec.duration // 2 // spec.tick * spec.tick if nemesis.heal is None else nemesis.heal
 
 
-def core(nemesis: NemesisSection, ground: NemesisTargets) -> list[int]:
+def core(nemesis: NemesisSection, targets: NemesisTargets) -> list[int]:
     """The vehicles that are healed: those named, else a majority that links connect.
 
     If not all follow the reference, the core has a vehicle that does, because the others need it as a leader.
     """
     if nemesis.core is not None:
         return vehicle_numbers(nemesis.core)
-    spec = ground.spec
-    near = beside(ground.pairs)
+    spec = targets.spec
+    near = neighbours(targets.pairs)
 
     def drawn(i: int) -> tuple[float, int]:
         return uniform(spec.seed, PURPOSE, i, _CORE), i
 
-    found = {min(ground.followers or range(1, spec.vehicles + 1), key=drawn)}
+    found = {min(targets.followers or range(1, spec.vehicles + 1), key=drawn)}
     while len(found) < spec.vehicles // 2 + 1:
         fresh = {j for i in found for j in near.get(i, ())} - found
         if not fresh:
@@ -53,16 +53,16 @@ def core(nemesis: NemesisSection, ground: NemesisTargets) -> list[int]:
     return sorted(found)
 
 
-def faults(nemesis: NemesisSection, ground: NemesisTargets) -> list[FaultSection]:
+def faults(nemesis: NemesisSection, targets: NemesisTargets) -> list[FaultSection]:
     """The faults: those of a swarm up to the heal, and the lasting ones."""
-    spec, heal = ground.spec, healed_at(nemesis, ground)
-    chaos = swarm.written(swarm.draw(nemesis, ground, heal), ground)
-    healthy, taken = set(core(nemesis, ground)), {fault.id for fault in spec.faults}
+    spec, heal = targets.spec, heal_time(nemesis, targets)
+    chaos = swarm.to_sections(swarm.draw(nemesis, targets, heal), targets)
+    healthy, taken = set(core(nemesis, targets)), {fault.id for fault in spec.faults}
     stay: list[FaultSection] = []
     for i in range(1, spec.vehicles + 1):
         if i in healthy:
             continue
-        kinds = _IDEAL if spec.network.ideal or not ground.links else _NETWORK
+        kinds = _IDEAL if spec.network.ideal or not targets.links else _NETWORK
         kind = kinds[bits(spec.seed, PURPOSE, i, _BREAKS) % len(kinds)]
         start = nemesis.start or 0
         at = int(start + (heal - start) * uniform(spec.seed, PURPOSE, i, _WHEN)) // spec.tick * spec.tick
@@ -72,16 +72,16 @@ def faults(nemesis: NemesisSection, ground: NemesisTargets) -> list[FaultSection
     return sorted([*chaos, *stay], key=lambda fault: fault.at)
 
 
-def of_the_core(checks: ChecksSection, nemesis: NemesisSection, ground: NemesisTargets) -> ChecksSection:
+def core_checks(checks: ChecksSection, nemesis: NemesisSection, targets: NemesisTargets) -> ChecksSection:
     """The checks of a scenario as they judge a core.
 
     Some checks count only from the heal on, and only for vehicles of the core. These are signals with
     `eventually_within` or `agree_within`, errors, times of recovery, and connections. All others stay as they are.
     """
-    heal, some = healed_at(nemesis, ground), core(nemesis, ground)
+    heal, some = heal_time(nemesis, targets), core(nemesis, targets)
     changes: dict[str, Any] = {}
     if checks.signal is not None:
-        changes["signal"] = [_of_signal(check, some, heal) for check in checks.signal]
+        changes["signal"] = [_restrict_signal_check(check, some, heal) for check in checks.signal]
     for name in ("formation_error", "consensus_error", "connected"):
         if (check := getattr(checks, name)) is not None:
             after = max(check.after, heal)
@@ -93,7 +93,7 @@ def of_the_core(checks: ChecksSection, nemesis: NemesisSection, ground: NemesisT
     return checks.model_copy(update=changes)
 
 
-def _of_signal(check: SignalCheck, some: list[int], heal: int) -> SignalCheck:
+def _restrict_signal_check(check: SignalCheck, some: list[int], heal: int) -> SignalCheck:
     if check.eventually_within is None and check.agree_within is None:
         return check
     those = _some(check.vehicles, some)

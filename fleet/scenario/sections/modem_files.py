@@ -21,7 +21,7 @@ from typing import Any
 
 from fleet import quantities as q
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, Number, out_of_range, table
+from fleet.scenario.sections.data_files import DataFileError, Number, range_problems, table
 from netem.modem import Modem
 
 _PACKAGE = "netem.modems"
@@ -58,7 +58,7 @@ Values = dict[str, Any]  # what a modem file says: numbers, and curves or None
 
 def shipped_modems() -> list[str]:
     """The modems that come with the package."""
-    return data_files.shipped(_PACKAGE)
+    return data_files.shipped_names(_PACKAGE)
 
 
 def load_modem(name: str, folder: Path | None = None) -> Modem:
@@ -88,7 +88,7 @@ def parse_modem(data: bytes, name: str) -> Modem:
     return modem_of(found)
 
 
-def changed(values: Values, changes: Values) -> Values:
+def merge_values(values: Values, changes: Values) -> Values:
     """The values of a modem with some that differ; a line in place of a curve removes the curve, and the other way."""
     gone: Values = {}
     for curve, line in _IN_PLACE.items():
@@ -112,7 +112,7 @@ def modem_of(values: Values) -> Modem:
 
 def modem_problems(values: Values) -> list[str]:
     """A line for each value that no modem can have."""
-    problems = out_of_range(without_replaced(values), NUMBERS)
+    problems = range_problems(without_replaced(values), NUMBERS)
     problems += [
         f"{key} must be a whole number{_OF.get(key, '')}, is {values[key]:g}" for key in WHOLE if values[key] % 1
     ]

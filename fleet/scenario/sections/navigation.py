@@ -20,7 +20,7 @@ from typing import Any
 from fleet import quantities as q
 from fleet.scenario.schema.navigation import DEFAULT_GRADE, ExpectedCurrent, FixSection, NavigationSection
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, Number, out_of_range, table
+from fleet.scenario.sections.data_files import DataFileError, Number, range_problems, table
 from fleet.scenario.sections.navigation_trace import _content, load_trace
 from world.navigation.config import DeadReckoning, FixKind, FixSource, Grade, Navigation, NavigationTrace
 
@@ -50,7 +50,7 @@ _EVERYWHERE: dict[str, Any] = {"at": (0.0, 0.0, 0.0), "reach": 0.0, "depth": 0.0
 
 def shipped_grades() -> list[str]:
     """The grades that come with the package."""
-    return data_files.shipped(_PACKAGE)
+    return data_files.shipped_names(_PACKAGE)
 
 
 def load_grade(name: str, folder: Path | None = None) -> Grade:
@@ -74,7 +74,7 @@ def parse_grade(data: bytes, name: str) -> Grade:
 
 def grade_problems(numbers: dict[str, float]) -> list[str]:
     """A line for each number that no instrument can have."""
-    return out_of_range(numbers, NUMBERS)
+    return range_problems(numbers, NUMBERS)
 
 
 def grade_of(section: NavigationSection, folder: Path | None) -> Grade:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from fleet.scenario.faults.kind import OfLinks
+from fleet.scenario.faults.kind import LinkFaultKind
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.faults.of_links import PartitionFault
 from fleet.scenario.faults.partitions import DRAWN_PARTITIONS, partition
@@ -27,31 +27,31 @@ PURPOSE = "nemesis"
 PARTITIONS = ("halves", *DRAWN_PARTITIONS)
 
 
-def explicit(ground: NemesisTargets) -> ScenarioSpec:
+def explicit(targets: NemesisTargets) -> ScenarioSpec:
     """The specification of a scenario with the faults that its nemesis draws written out after its own.
 
     With `mode: liveness` its checks judge the core. No id of a fault is one of the scenario's own.
     """
-    spec, nemesis = ground.spec, ground.spec.nemesis
+    spec, nemesis = targets.spec, targets.spec.nemesis
     if nemesis is None:
         return spec
     changes: dict[str, Any] = {"nemesis": None}
     match nemesis.mode:
         case "liveness":
-            drawn = liveness.faults(nemesis, ground)
-            changes["checks"] = liveness.of_the_core(spec.checks, nemesis, ground)
+            drawn = liveness.faults(nemesis, targets)
+            changes["checks"] = liveness.core_checks(spec.checks, nemesis, targets)
         case "episodes":
-            drawn, triggers = episodes.draw(nemesis, ground)
+            drawn, triggers = episodes.draw(nemesis, targets)
             changes["triggers"] = [*spec.triggers, *triggers]
         case "swarm":
-            drawn = swarm.written(swarm.draw(nemesis, ground), ground)
+            drawn = swarm.to_sections(swarm.draw(nemesis, targets), targets)
         case _:
-            drawn = _grid(spec, nemesis, ground.links)
-    kept = within_limit(nemesis.most_silent, drawn, spec.faults)
+            drawn = _grid(spec, nemesis, targets.links)
+    kept = keep_within_limit(nemesis.most_silent, drawn, spec.faults)
     return spec.model_copy(update=changes | {"faults": [*spec.faults, *kept]})
 
 
-def within_limit(
+def keep_within_limit(
     most_silent: int | None, faults: Sequence[FaultSection], own: Sequence[FaultSection] = ()
 ) -> list[FaultSection]:
     """Leave out faults by which more than `most_silent` vehicles would be dead, suspended or mute at once.
@@ -94,15 +94,15 @@ def _grid(spec: ScenarioSpec, nemesis: NemesisSection, links: Sequence[Link]) ->
     return faults
 
 
-def fault_count(nemesis: NemesisSection, ground: NemesisTargets) -> int:
+def fault_count(nemesis: NemesisSection, targets: NemesisTargets) -> int:
     """How many faults a nemesis draws, at most."""
     if nemesis.mode is None:
-        return len(_times(nemesis, ground.spec))
+        return len(_times(nemesis, targets.spec))
     if nemesis.mode == "episodes":
-        return episodes.MOST_FAULTS * len(episodes.plan(nemesis, ground).begins)
-    until = liveness.healed_at(nemesis, ground) if nemesis.mode == "liveness" else None
-    return sum(one.pieces for one in swarm.draw(nemesis, ground, until)) + (
-        ground.spec.vehicles if nemesis.mode == "liveness" else 0
+        return episodes.MOST_FAULTS * len(episodes.plan(nemesis, targets).begins)
+    until = liveness.heal_time(nemesis, targets) if nemesis.mode == "liveness" else None
+    return sum(one.pieces for one in swarm.draw(nemesis, targets, until)) + (
+        targets.spec.vehicles if nemesis.mode == "liveness" else 0
     )
 
 
@@ -124,7 +124,7 @@ def _target(kind: str, name: str, spec: ScenarioSpec, number: int, links: Sequen
         # The draw of a partition depends on its id, not on its place: a list that is sorted by time draws the same.
         cuts = [p for p in PARTITIONS if partition(p, spec.vehicles, spec.seed, name, links)] or ["halves"]
         return cuts[_draw(spec, number, 1, len(cuts))]
-    if isinstance(KINDS[kind], OfLinks):
+    if isinstance(KINDS[kind], LinkFaultKind):
         pairs = sorted({(min(link), max(link)) for link in links})
         return str(Selector(*pairs[_draw(spec, number, 1, len(pairs))], both=True))
     return str(1 + _draw(spec, number, 1, spec.vehicles))

@@ -23,7 +23,7 @@ from typing import NamedTuple
 from fleet.scenario.schema.control import VehicleOverrides
 from fleet.scenario.schema.nemesis import Aim
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.graph import beside
+from fleet.scenario.sections.graph import neighbours
 from netem.condition import Condition, Link
 
 Pair = tuple[int, int]  # two vehicles that share a link in either direction, the lower number first
@@ -74,27 +74,27 @@ def instruments(choice: VehicleOverrides) -> tuple[bool, bool, bool]:
 MOST_PAIRS = 20_000  # bridges are looked for in a graph with no more pairs
 
 
-def leader(ground: NemesisTargets) -> int:
+def leader(targets: NemesisTargets) -> int:
     """The vehicle that leads as far as the scenario says."""
-    nemesis, followers = ground.spec.nemesis, ground.followers
+    nemesis, followers = targets.spec.nemesis, targets.followers
     if nemesis is not None and nemesis.leader is not None:
         return nemesis.leader
     return followers[0] if len(followers) == 1 else 1
 
 
-def hubs(ground: NemesisTargets) -> list[int]:
+def hubs(targets: NemesisTargets) -> list[int]:
     """The vehicles with the most links, both directions counted."""
-    count = dict.fromkeys(range(1, ground.spec.vehicles + 1), 0)
-    for src, dst in ground.links:
+    count = dict.fromkeys(range(1, targets.spec.vehicles + 1), 0)
+    for src, dst in targets.links:
         count[src] += 1
         count[dst] += 1
     most = max(count.values())
     return [i for i, links in count.items() if links == most]
 
 
-def available(ground: NemesisTargets) -> list[Aim]:
+def available(targets: NemesisTargets) -> list[Aim]:
     """The aims that make sense for a fleet: alone, a vehicle is all of them."""
-    return ["any", "leader", "hub", "bridge", "speaker"] if ground.links else ["any"]
+    return ["any", "leader", "hub", "bridge", "speaker"] if targets.links else ["any"]
 
 
 @cache
@@ -106,7 +106,7 @@ def bridges(pairs: frozenset[Pair]) -> tuple[Pair, ...]:
     """
     if len(pairs) > MOST_PAIRS:
         return ()
-    near = beside(sorted(pairs))
+    near = neighbours(sorted(pairs))
     order: dict[int, int] = {}
     low: dict[int, int] = {}
     found: list[Pair] = []
@@ -133,12 +133,12 @@ def bridges(pairs: frozenset[Pair]) -> tuple[Pair, ...]:
     return tuple(sorted(found))
 
 
-def last_slot(ground: NemesisTargets) -> int | None:
+def last_slot(targets: NemesisTargets) -> int | None:
     """With tdma the vehicle that has the last slot of a frame; None: there are no slots."""
-    acoustic = ground.spec.network.acoustic
-    return ground.spec.vehicles if acoustic is not None and acoustic.mac == "tdma" else None
+    acoustic = targets.spec.network.acoustic
+    return targets.spec.vehicles if acoustic is not None and acoustic.mac == "tdma" else None
 
 
-def without(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int]) -> frozenset[Pair]:
+def remaining_pairs(pairs: Iterable[Pair], cut: Collection[Pair], silent: Collection[int]) -> frozenset[Pair]:
     """The pairs that are left where some are cut and some vehicles silent."""
     return frozenset(p for p in pairs if p not in cut and p[0] not in silent and p[1] not in silent)

@@ -15,7 +15,7 @@ _NUMBERS = re.compile(r"(isolate:\s*)?[\d\s,/<>*-]+", re.ASCII)
 _SELECTOR = re.compile(r"[\w\s,/<>*:.-]+", re.ASCII)
 
 
-def numbered(text: str, names: Sequence[str]) -> str:
+def to_numbers(text: str, names: Sequence[str]) -> str:
     """A selector with numbers in place of names; any other text as it is. Raises KeyError: it is a selector with a
     name that there is not.
     """
@@ -38,14 +38,14 @@ def _word(names: tuple[str, ...]) -> re.Pattern[str]:
     return re.compile(rf"(?<!\w)(?:{'|'.join(longest)})(?![\w.]|-\d)|[A-Za-z]\w*(?:-\d\w*|\.\w+)*", re.ASCII)
 
 
-def numbered_values(value: Any, names: Sequence[str]) -> Any:
-    """An entry of a section as plain values, with numbers in place of names. Raises KeyError as `numbered`."""
-    return _each(value, lambda text: numbered(text, names))
+def values_to_numbers(value: Any, names: Sequence[str]) -> Any:
+    """An entry of a section as plain values, with numbers in place of names. Raises KeyError as `to_numbers`."""
+    return _each(value, lambda text: to_numbers(text, names))
 
 
-def named_values(value: Any, names: Sequence[str]) -> Any:
+def values_to_names(value: Any, names: Sequence[str]) -> Any:
     """The inverse."""
-    return _each(value, lambda text: named(text, names) if _NUMBERS.fullmatch(text) else text)
+    return _each(value, lambda text: to_names(text, names) if _NUMBERS.fullmatch(text) else text)
 
 
 def _each(value: Any, change: Callable[[str], str]) -> Any:
@@ -58,8 +58,8 @@ def _each(value: Any, change: Callable[[str], str]) -> Any:
     return value
 
 
-def named(text: str, names: Sequence[str]) -> str:
-    """The inverse of `numbered`, for a selector with numbers that the schema has read; ranges stay numbers."""
+def to_names(text: str, names: Sequence[str]) -> str:
+    """The inverse of `to_numbers`, for a selector with numbers that the schema has read; ranges stay numbers."""
     if not names or re.search(r"\d-\d", text):
         return text
     return re.sub(r"\d+", lambda found: names[int(found[0]) - 1] if 0 < int(found[0]) <= len(names) else found[0], text)
@@ -70,7 +70,7 @@ _NO_VEHICLE = re.compile(r"there is no vehicle (\d+): the vehicles are 1 to \d+"
 _NO_LINK = re.compile(r'"\*", "1->2", "1<->2", "1->\*" or "\*->2"')
 
 
-def of_nodes(message: str, names: Sequence[str]) -> str:
+def with_node_names(message: str, names: Sequence[str]) -> str:
     """What is wrong with a selector of vehicles and links, in words of nodes; without names, or anything else, as it
     is.
     """

@@ -13,7 +13,7 @@ from world.signal import Signal
 PERIOD_NS = 10_000_000  # between two samples of them in the log
 
 
-def told_by(spec: ScenarioSpec, i: int) -> dict[str, StackSignalSection]:
+def signals_of_node(spec: ScenarioSpec, i: int) -> dict[str, StackSignalSection]:
     """The signals of node i by name, in the order of the file."""
     nodes = list(spec.nodes or ())
     return {name: each for name, each in (spec.signals or {}).items() if nodes[i - 1] in nodes_of(each.of, nodes)}
@@ -21,7 +21,7 @@ def told_by(spec: ScenarioSpec, i: int) -> dict[str, StackSignalSection]:
 
 def node_layout(spec: ScenarioSpec, i: int) -> SignalLayout:
     """What node i reports, in the place of what the agent of a vehicle reports."""
-    return SignalLayout((), tuple(_signal(name, each) for name, each in told_by(spec, i).items()))
+    return SignalLayout((), tuple(_signal(name, each) for name, each in signals_of_node(spec, i).items()))
 
 
 def node_signals(spec: ScenarioSpec, i: int) -> VehicleSignals:

@@ -76,14 +76,14 @@ class Control:
         return self.agent is None and self.controller is None
 
 
-def merged(spec: ScenarioSpec, entries: Entries) -> VehicleOverrides:
+def merge_overrides(spec: ScenarioSpec, entries: Entries) -> VehicleOverrides:
     """Every section that may be per vehicle, as it holds for the vehicles that these entries of `per_vehicle` name."""
     layers = [VehicleOverrides.model_construct(**{key: getattr(spec, key) for key in VehicleOverrides.model_fields})]
     layers += [overrides for entry, overrides in spec.per_vehicle.items() if entry in entries]
-    return reduce(_over, layers)
+    return reduce(_override, layers)
 
 
-def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
+def _override(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
     values: dict[str, Any] = {}
     for key in VehicleOverrides.model_fields:
         low, high = getattr(below, key), getattr(above, key)
@@ -92,14 +92,14 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
         elif low is None or isinstance(high, (str, bool, LawSection)):
             values[key] = high
         elif isinstance(high, AgentSection):
-            values[key] = _over_agent(low, high)
+            values[key] = _override_agent(low, high)
         elif isinstance(high, VehicleSection) and (high.model is not None or high.plant is not None):
             values[key] = high  # another vehicle, not this one with some of its numbers
         elif isinstance(high, NavigationSection):
             values[key] = navigation_over(low, high)
         else:
             # What was written, not what has a default: a vehicle's own timeout leaves its extrapolation alone.
-            written = {name: value for name, value in given(high).items() if name in high.model_fields_set}
+            written = {name: value for name, value in given_values(high).items() if name in high.model_fields_set}
             if "law" in written:
                 written.setdefault("parameters", None)  # parameters of a section below belong to the law there
             values[key] = low.model_copy(update=written)
@@ -116,12 +116,12 @@ def _over(below: VehicleOverrides, above: VehicleOverrides) -> VehicleOverrides:
     return VehicleOverrides.model_construct(**values)
 
 
-def _over_agent(below: AgentSection, above: AgentSection) -> AgentSection:
+def _override_agent(below: AgentSection, above: AgentSection) -> AgentSection:
     """An agent over another, and what is written of its clock over that of the other's."""
     law = above if above.law is not None else below
     low, high = below.clock, above.clock
     if low is not None and high is not None:
-        high = low.model_copy(update=given(high))
+        high = low.model_copy(update=given_values(high))
     return law.model_copy(update={"clock": high or low, "localization": above.localization or below.localization})
 
 
@@ -155,8 +155,10 @@ def control(
         controller=_law(choice.controller) if names is None else None,
         guidance_law=Law(guidance_name, choice.guidance.parameters or {}),
         tracking_law=Law(tracking_name, choice.tracking.parameters or {}),
-        guidance=replace(profile(name, guidance=guidance_name)[0], **_tuned(choice.guidance) | {"qp_ticks": qp_ticks}),
-        tracking=replace(profile(name, tracking=tracking_name)[1], **_tuned(choice.tracking)),
+        guidance=replace(
+            profile(name, guidance=guidance_name)[0], **_tuned_values(choice.guidance) | {"qp_ticks": qp_ticks}
+        ),
+        tracking=replace(profile(name, tracking=tracking_name)[1], **_tuned_values(choice.tracking)),
         extrapolation=choice.neighbours.extrapolate,
         age_cap_s=choice.neighbours.age_cap / 1e9,
         drop_after_s=choice.neighbours.drop_after / 1e9,
@@ -181,7 +183,7 @@ def _law(section: LawSection | AgentSection | None) -> Law | None:
 def vehicle(section: VehicleSection, folder: Path | None) -> tuple[VehicleParams, Vec3]:
     """The parameters of a vehicle and its limits [N, N m, N m]. Raises DataFileError."""
     model = load_vehicle(model_name(section), folder)
-    changes = given(section)
+    changes = given_values(section)
     params = replace(model.params, **{key: changes[key] for key in PARAMETERS.keys() & changes.keys()})
     x, y, z = (
         limit if getattr(section, key) is None else getattr(section, key)
@@ -199,7 +201,7 @@ def model_name(section: VehicleSection) -> str:
 
 def wrong_model(params: VehicleParams, errors: ModelErrorSection) -> VehicleParams:
     """The parameters with each error applied: (1 + error) times the truth."""
-    return replace(params, **{key: getattr(params, key) * (1.0 + error) for key, error in given(errors).items()})
+    return replace(params, **{key: getattr(params, key) * (1.0 + error) for key, error in given_values(errors).items()})
 
 
 def qp_period_ns(name: str, section: GuidanceSection, tick_ns: int) -> int:
@@ -207,20 +209,22 @@ def qp_period_ns(name: str, section: GuidanceSection, tick_ns: int) -> int:
     return section.qp_period or max(profile(name)[0].qp_ticks * _PROFILE_TICK_NS, tick_ns)
 
 
-def given(section: Section) -> dict[str, Any]:
+def given_values(section: Section) -> dict[str, Any]:
     """The values that a section sets."""
     return {key: value for key, value in section if value is not None}
 
 
-def _tuned(section: Section) -> dict[str, Any]:
+def _tuned_values(section: Section) -> dict[str, Any]:
     """The parameters that a section sets, but for the period of the QP."""
-    values = {key: value for key, value in given(section).items() if key not in ("law", "parameters", "qp_period")}
+    values = {
+        key: value for key, value in given_values(section).items() if key not in ("law", "parameters", "qp_period")
+    }
     return {_NAMES.get(key, key): value / 1e9 if key in _TIMES else value for key, value in values.items()}
 
 
 def guidance_section(params: GuidanceParams, law: str, tick_ns: int) -> GuidanceSection:
     """Every parameter that a law uses, as a scenario would give it."""
-    values = _shown(GuidanceSection, "guidance", params, law)
+    values = _shown_values(GuidanceSection, "guidance", params, law)
     return GuidanceSection.model_construct(
         **{key: value * tick_ns if key == "qp_period" else value for key, value in values.items()}
     )
@@ -228,16 +232,18 @@ def guidance_section(params: GuidanceParams, law: str, tick_ns: int) -> Guidance
 
 def tracking_section(params: TrackingParams, law: str) -> TrackingSection:
     """Every parameter that a law uses, as a scenario would give it."""
-    return TrackingSection.model_construct(**_shown(TrackingSection, "tracking", params, law))
+    return TrackingSection.model_construct(**_shown_values(TrackingSection, "tracking", params, law))
 
 
-def _shown(section: type[Section], kind: str, params: GuidanceParams | TrackingParams, law: str) -> dict[str, Any]:
-    keys = sorted(used(kind, law).intersection(section.model_fields), key=[*section.model_fields].index)
+def _shown_values(
+    section: type[Section], kind: str, params: GuidanceParams | TrackingParams, law: str
+) -> dict[str, Any]:
+    keys = sorted(used_keys(kind, law).intersection(section.model_fields), key=[*section.model_fields].index)
     values = {key: getattr(params, _NAMES.get(key, key)) for key in sorted(keys, key=_NAMES.__contains__)}
     return {key: round(value * 1e9) if key in _TIMES else value for key, value in values.items()}
 
 
-def used(kind: str, law: str) -> frozenset[str]:
+def used_keys(kind: str, law: str) -> frozenset[str]:
     """The scenario keys that a built-in law uses; all of them for a law of the user's."""
     laws: dict[str, Any] = {"guidance": GUIDANCE, "tracking": TRACKING}[kind]  # type: ignore[assignment]
     params = GuidanceParams if kind == "guidance" else TrackingParams

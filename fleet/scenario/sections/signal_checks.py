@@ -84,10 +84,10 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
 
     `vehicles`: the signals of every vehicle of the scenario. Raises SignalCheckError: it makes no sense.
     """
-    signal, some, unit = named_signal(check.topic, check.vehicles, vehicles)
+    signal, some, unit = find_signal(check.topic, check.vehicles, vehicles)
     condition = _condition(check, unit)
     if condition.over != "each" and len(some) < 2:
-        raise SignalCheckError(_given(check)[0], "compares vehicles, but there is only one", "name two or more")
+        raise SignalCheckError(_given_keys(check)[0], "compares vehicles, but there is only one", "name two or more")
     _check_times(check)
     # Values agree within 5 s if no stretch without that is longer.
     least = check.for_at_least or 0 if check.agree_within is None else check.agree_within + 1
@@ -99,7 +99,7 @@ def ask(check: SignalCheck, vehicles: Mapping[int, Mapping[str, SignalPlace]]) -
     )  # fmt: skip
 
 
-def named_signal(
+def find_signal(
     topic: str, of: str | None, vehicles: Mapping[int, Mapping[str, SignalPlace]]
 ) -> tuple[SignalName, tuple[int, ...], str]:
     """The signal that a topic names, the vehicles that are meant, and its unit.
@@ -127,7 +127,7 @@ def named_signal(
     return signal, some, unit
 
 
-def of_a_plugin(text: str) -> bool:
+def is_of_plugin(text: str) -> bool:
     """Whether a text names a signal that only a vehicle's laws or its plant may have."""
     signal = parse_name(text)
     if signal is None:
@@ -136,7 +136,7 @@ def of_a_plugin(text: str) -> bool:
     return signal.group in (*OF_THE_LAWS, OF_THE_PLANT) or signal.name in of_roll
 
 
-def _given(check: SignalCheck) -> list[str]:
+def _given_keys(check: SignalCheck) -> list[str]:
     return [key for key in CONDITIONS if getattr(check, key) is not None]
 
 
@@ -161,7 +161,7 @@ def _check_times(check: SignalCheck) -> None:
 
 
 def _condition(check: SignalCheck, unit: str) -> SignalCondition:
-    given = _given(check)
+    given = _given_keys(check)
     if not given:
         raise SignalCheckError("topic", "the check has no condition", f"add one of {', '.join(CONDITIONS)}")
     if len(given) > 1 and given != ["equals", "within"]:
@@ -173,7 +173,7 @@ def _condition(check: SignalCheck, unit: str) -> SignalCondition:
         return SignalCondition("true", -inf, 1.0, False, "true in at most one vehicle", 1.0)
     if key == "agree_within":
         return SignalCondition("spread", 0.0, 0.0, False, "the same in all vehicles")
-    value, shown = _number(key, getattr(check, key), unit), _shown(getattr(check, key))
+    value, shown = _number(key, getattr(check, key), unit), _show(getattr(check, key))
     if key == "equals":
         return _equals(check, value, shown, unit)
     if key == "above":
@@ -188,7 +188,7 @@ def _equals(check: SignalCheck, value: float, shown: str, unit: str) -> SignalCo
         hint = "with equals it is a tolerance, such as within: 0.1"
         raise SignalCheckError("within", 'with "equals" expected one value, got a list', hint)
     off = 0.0 if check.within is None else _number("within", check.within, unit)
-    words = f"equals {shown}" + (f" within {_shown(check.within)}" if off else "")
+    words = f"equals {shown}" + (f" within {_show(check.within)}" if off else "")
     return SignalCondition("each", value - off, value + off, False, words)
 
 
@@ -198,9 +198,9 @@ def _range(given: Any, unit: str) -> SignalCondition:
         raise SignalCheckError("within", problem, 'one value is a tolerance, which needs "equals"')
     low, high = (_number("within", one, unit) for one in given)
     if low > high:
-        problem = f"the low end, {_shown(given[0])}, is above the high end, {_shown(given[1])}"
+        problem = f"the low end, {_show(given[0])}, is above the high end, {_show(given[1])}"
         raise SignalCheckError("within", problem, "write the lower value first")
-    words = f"between {_shown(given[0])} and {_shown(given[1])}"
+    words = f"between {_show(given[0])} and {_show(given[1])}"
     return SignalCondition("each", low, high, False, words)
 
 
@@ -223,7 +223,7 @@ def dimension_of(unit: str) -> Dimension:
     return Dimension(f"a value in {unit}", f"1 {unit}", {unit: Fraction(1)})
 
 
-def _shown(given: Any) -> str:
+def _show(given: Any) -> str:
     """A value as the scenario writes it."""
     return " ".join(given.split()) if isinstance(given, str) else str(given).lower()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fleet import quantities as q
 from fleet.scenario.sections import data_files
-from fleet.scenario.sections.data_files import DataFileError, Number, out_of_range, table
+from fleet.scenario.sections.data_files import DataFileError, Number, range_problems, table
 
 _OF_SITES = {
     "spreading": Number(q.NUMBER, 1.0, 3.0),
@@ -37,7 +37,7 @@ def load_site(name: str, folder: Path | None = None) -> Site:
     values, problems = data_files.read("site", data, path, (*texts, "site"))
     problems += [f"{key} is missing" for key in texts if not isinstance(values.get(key), str)]
     numbers = table(values, "site", _OF_SITES, problems)
-    problems += out_of_range(numbers, _OF_SITES)
+    problems += range_problems(numbers, _OF_SITES)
     if problems:
         raise DataFileError("site", path, problems)
     return Site(**numbers)

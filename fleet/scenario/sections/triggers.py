@@ -16,7 +16,7 @@ from fleet.quantities import show_time
 from fleet.scenario.schema.checks import SignalCheck
 from fleet.scenario.schema.faults import FaultEntry, FaultSection, TriggerSection, WhenSection
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.signal_checks import SignalCheckError, SignalCondition, ask, named_signal
+from fleet.scenario.sections.signal_checks import SignalCheckError, SignalCondition, ask, find_signal
 from fleet.scenario.sections.signals import SignalName, SignalPlace
 
 RELATIVE = ("itself", "others", "neighbours")  # seen from the agent that reports
@@ -47,7 +47,7 @@ def ask_moment(when: WhenSection, vehicles: Mapping[int, Mapping[str, SignalPlac
     if len(given) != 1:
         problem = f"expected one condition, got {' and '.join(given) or 'none'}"
         raise SignalCheckError(given[1] if given else "topic", problem, "above, below, equals, or changes: true")
-    signal, some, _ = named_signal(when.topic, when.vehicles, vehicles)
+    signal, some, _ = find_signal(when.topic, when.vehicles, vehicles)
     if when.changes is not None:
         return AskedMoment(signal, some, None)
     values = {key: getattr(when, key) for key in ("topic", "vehicles", "above", "below", "equals")}
@@ -88,7 +88,7 @@ def fault_of(
     if any(not numbers[word] for word in _relative(trigger.fault)):
         return None
     times = {"at": f"{at} ns"} | ({} if trigger.for_ is None else {"for": f"{trigger.for_} ns"})
-    return read_entry({"id": name, **times, **_resolved(trigger.fault, numbers)})
+    return read_entry({"id": name, **times, **_resolve(trigger.fault, numbers)})
 
 
 def _relative(value: Any) -> set[str]:
@@ -98,11 +98,11 @@ def _relative(value: Any) -> set[str]:
     return set(_RELATIVE.findall(value)) if isinstance(value, str) else set()
 
 
-def _resolved(value: Any, numbers: Mapping[str, str]) -> Any:
+def _resolve(value: Any, numbers: Mapping[str, str]) -> Any:
     if isinstance(value, str):
         return _RELATIVE.sub(lambda match: numbers[match[1]], value)
     if isinstance(value, dict):
-        return {_resolved(key, numbers): _resolved(one, numbers) for key, one in value.items()}
+        return {_resolve(key, numbers): _resolve(one, numbers) for key, one in value.items()}
     return value
 
 

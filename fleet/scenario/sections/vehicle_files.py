@@ -45,7 +45,7 @@ class VehicleModel(NamedTuple):
 
 def shipped_vehicles() -> list[str]:
     """The vehicles that come with the package."""
-    return data_files.shipped(_PACKAGE)
+    return data_files.shipped_names(_PACKAGE)
 
 
 def load_vehicle(name: str, folder: Path | None = None) -> VehicleModel:

@@ -25,7 +25,7 @@ from fleet.errors import FleetError, Problem
 from fleet.quantities import TIME
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.sections.fault_entry import DIVERGED, TUMBLED, entry_of, fault_reader
-from fleet.scenario.sections.node_names import numbered_values
+from fleet.scenario.sections.node_names import values_to_numbers
 from fleet.scenario.text.yaml_reader import Mapping, Node, Scalar, Source, TextPlace, plain
 from netem.parsing import exact_number, nearest, quoted
 
@@ -62,7 +62,8 @@ def entry_of_words(words: str, names: tuple[str, ...] = ()) -> str:
     if kind in (TUMBLED, DIVERGED):
         return json.dumps({kind: who})
     try:
-        read = {key: numbered_values(value, names) for key, value in read_fault(words).items()}  # a node may be `kill`
+        # The keys stay as they are: a node may be called `kill`.
+        read = {key: values_to_numbers(value, names) for key, value in read_fault(words).items()}
         return entry_of(fault_reader().validate_python(read))
     except (FaultWordsError, ValidationError, KeyError):
         return ""

@@ -1,7 +1,7 @@
 """Scenarios with nodes: names in place of numbers, and the keys of vehicles that nodes do not have.
 
 Inside, nodes are vehicles 1, 2, ... in the order of the file. So graph, network, faults and checks are those of every
-scenario. `expanded` puts numbers in place of names, and `compact` is its inverse.
+scenario. `nodes_to_vehicles` puts numbers in place of names, and `vehicles_to_nodes` is its inverse.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from fleet.errors import Problem
 from fleet.quantities import LENGTH, QuantityError, vector
 from fleet.scenario.schema.nodes import NAME, RESERVED
-from fleet.scenario.sections.node_names import FREE, named_values, numbered
+from fleet.scenario.sections.node_names import FREE, to_numbers, values_to_names
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, Scalar, TextPlace
 from netem.parsing import nearest
 
@@ -33,9 +33,9 @@ _SECTIONS = ("graph", "network", "faults", "nemesis", "checks")
 _EDGE = re.compile(r"\s*(\w+)\s*(<->|->|-)\s*(\w+)\s*", re.ASCII)
 
 
-def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
+def nodes_to_vehicles(root: Mapping, problems: list[Problem]) -> Mapping:
     """The tree of a scenario with nodes as that of one with vehicles; mistakes in names are added to `problems`."""
-    root = _isolated(root)
+    root = _spread_isolate(root)
     nodes = root.entries["nodes"]
     if not isinstance(nodes, Mapping):
         return root
@@ -60,16 +60,16 @@ def expanded(root: Mapping, problems: list[Problem]) -> Mapping:
             graph = graph.with_entry("reference", graph.place, _tree([1], graph.place))
         root = root.with_entry("graph", root.keys["graph"], graph)
     if "checks" in root.entries:
-        root = root.with_entry("checks", root.keys["checks"], _of_signals(root.entries["checks"], root))
+        root = root.with_entry("checks", root.keys["checks"], _with_whole_signal_names(root.entries["checks"], root))
     network = root.entries.get("network")
     said = network.entries if isinstance(network, Mapping) else [network.value] if isinstance(network, Scalar) else ()
-    for key, value in _added(nodes, water="acoustic" in said).items():
+    for key, value in _added_keys(nodes, water="acoustic" in said).items():
         if key not in root.entries:
             root = root.with_entry(key, nodes.place, _tree(value, nodes.place))
     return root
 
 
-def _isolated(root: Mapping) -> Mapping:
+def _spread_isolate(root: Mapping) -> Mapping:
     """The tree with `isolate` at each node, if it is given for all."""
     nodes, all_of_them = root.entries["nodes"], root.entries.get("isolate")
     if all_of_them is None or not isinstance(nodes, Mapping):
@@ -81,7 +81,7 @@ def _isolated(root: Mapping) -> Mapping:
     return root.with_entry("nodes", root.keys["nodes"], nodes).without("isolate")
 
 
-def still(root: Mapping) -> Mapping:
+def with_moored_defaults(root: Mapping) -> Mapping:
     """The tree of a scenario with what moored vehicles may leave out, and others may not."""
     moored = root.entries.get("moored")
     if not isinstance(moored, Scalar) or moored.value is not True:
@@ -95,7 +95,7 @@ def still(root: Mapping) -> Mapping:
     return root
 
 
-def _of_signals(checks: Node, root: Mapping) -> Node:
+def _with_whole_signal_names(checks: Node, root: Mapping) -> Node:
     """The checks with whole names of signals: those of nodes are named alone."""
     told = root.entries.get("signals")
     if not (isinstance(checks, Mapping) and isinstance(told, Mapping) and "signal" in checks.entries):
@@ -154,14 +154,14 @@ class _Expanded:
 
     def _text(self, text: str, place: TextPlace) -> str:
         try:
-            return numbered(text, self._names)
+            return to_numbers(text, self._names)
         except KeyError as error:
             known = f"the nodes are {', '.join(self._names)}"
             self._problems.append(place.problem(f"there is no node {error.args[0]}", known))
             return text
 
 
-def compact(values: dict[str, Any]) -> dict[str, Any]:
+def vehicles_to_nodes(values: dict[str, Any]) -> dict[str, Any]:
     """The values of a specification with nodes as its file has them."""
     names = list(values["nodes"])
     kept = {key: values[key] for key in KEYS if key in values}
@@ -171,7 +171,7 @@ def compact(values: dict[str, Any]) -> dict[str, Any]:
         name: {key: value for key, value in node.items() if value != {}} for name, node in values["nodes"].items()
     }
     kept["log"] = {key: value for key, value in kept["log"].items() if key != "every"}
-    kept |= {key: named_values(kept[key], names) for key in _SECTIONS if key in kept}
+    kept |= {key: values_to_names(kept[key], names) for key in _SECTIONS if key in kept}
     graph = kept["graph"]
     if "edges" in graph:
         graph["edges"] = list(graph["edges"])
@@ -180,7 +180,7 @@ def compact(values: dict[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def _added(nodes: Mapping, *, water: bool) -> dict[str, Any]:
+def _added_keys(nodes: Mapping, *, water: bool) -> dict[str, Any]:
     """The keys that a scenario of vehicles needs and one of nodes leaves out."""
     count = len(nodes.entries)
     places = []

@@ -165,7 +165,7 @@ def _with_links(source: Source, root: Mapping) -> Mapping:
         for same in [text for text in links.entries if _links_of(text) == _links_of(selector)]:
             links = links.without(same)
         links = links.with_entry(selector, entries.keys[selector], condition)
-    return _placed(root, ("network", "links"), start, links)
+    return _place_value(root, ("network", "links"), start, links)
 
 
 def _with_link_word(source: Source, root: Mapping) -> Mapping:
@@ -173,7 +173,7 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
     start = TextPlace(source, 1, 1)
     match = _LINK_WORD.fullmatch(source.text.partition("=")[0])
     assert match is not None
-    selector, place = match["selector"].strip('"'), start.shifted(match.start("selector"))
+    selector, place = match["selector"].strip('"'), start.shift(match.start("selector"))
     root, links = _links(root, start)
     if links is None:
         return root
@@ -189,11 +189,11 @@ def _with_link_word(source: Source, root: Mapping) -> Mapping:
     if isinstance(before, Mapping) and (preset := _preset(before)) is not None:
         before = preset
     if match["state"] is not None or isinstance(before, Mapping):
-        before, path = _of_state(match, name, before, place), (*path, "states", match["state"], "condition")
+        before, path = _state_condition(match, name, before, place), (*path, "states", match["state"], "condition")
     text = "" if before is None else plain(before)
     if not isinstance(text, str):  # reported when it is read
         return root
-    return _placed(root, path, start if len(path) == 3 else place, _with_word(source, match, text))
+    return _place_value(root, path, start if len(path) == 3 else place, _with_word(source, match, text))
 
 
 def _preset(links: Mapping) -> Scalar | None:
@@ -207,13 +207,13 @@ def _with_word(source: Source, match: re.Match[str], text: str) -> Scalar:
     """A condition with the word that an override changes."""
     start, word, value = TextPlace(source, 1, 1), match["word"], source.text[match.end() + 1 :]
     try:
-        return Scalar(with_word(text, word, value), start.shifted(match.end() + 1))
+        return Scalar(with_word(text, word, value), start.shift(match.end() + 1))
     except TextError as error:
         column = match.start("word") if not value.strip() or word not in WORDS else match.end() + 1 + error.column
-        raise FaultWordsError(start.shifted(column).problem(error.message, error.hint)) from None
+        raise FaultWordsError(start.shift(column).problem(error.message, error.hint)) from None
 
 
-def _of_state(match: re.Match[str], name: str, links: Node | None, place: TextPlace) -> Node | None:
+def _state_condition(match: re.Match[str], name: str, links: Node | None, place: TextPlace) -> Node | None:
     """The condition in the state of the links `name` that an override at `place` names."""
     states = links.entries.get("states") if isinstance(links, Mapping) else None
     if not isinstance(states, Mapping):
@@ -242,7 +242,7 @@ def _links(root: Mapping, start: TextPlace) -> tuple[Mapping, Mapping | None]:
     return root, None if section is None else _mapping(section.entries.get("links"), start)
 
 
-def _placed(root: Mapping, path: Sequence[str], place: TextPlace, value: Node) -> Mapping:
+def _place_value(root: Mapping, path: Sequence[str], place: TextPlace, value: Node) -> Mapping:
     """The tree with a value at a path, whose entries keep their places; new ones are at `place`."""
     changed = _set(root, [(step, place) for step in path], value, keep=True)
     assert isinstance(changed, Mapping)  # there is at least one step

@@ -52,7 +52,7 @@ def scale(before: Mapping, root: Mapping) -> Mapping:
             for text in [text for text in section if any(n > most for n in _numbers(text))]:
                 del section[text]
     if isinstance(checks := made.get("checks"), dict):
-        made["checks"] = {name: check for name, check in checks.items() if _about_all(name, check)}
+        made["checks"] = {name: check for name, check in checks.items() if _is_about_all(name, check)}
     scaled = _tight(made, root, root.keys["vehicles"])
     assert isinstance(scaled, Mapping)
     return scaled
@@ -93,7 +93,7 @@ def _scale_graph(graph: dict[str, Any], vehicles: int) -> int:
     elif edges is not None:
         graph["shape"] = "path"
     for key, most in (("hub", vehicles), ("count", vehicles - 1)):
-        if _above(graph.get(key), most):
+        if _is_above(graph.get(key), most):
             del graph[key]
     standby = graph.get("standby")
     who = standby.get("vehicles") if isinstance(standby, dict) else None
@@ -101,13 +101,13 @@ def _scale_graph(graph: dict[str, Any], vehicles: int) -> int:
         del graph["standby"]
     followers = graph.get("reference")
     if isinstance(followers, Scalar) and followers.value != "all":
-        followers = _listed(followers)
+        followers = _list_vehicles(followers)
     if isinstance(followers, list):
-        graph["reference"] = [n for n in followers if not _above(n, vehicles)]
+        graph["reference"] = [n for n in followers if not _is_above(n, vehicles)]
     return vehicles if edges is None or chain is not None else 0
 
 
-def _about_all(name: str, check: Any) -> bool:
+def _is_about_all(name: str, check: Any) -> bool:
     """Whether a check is not one of some vehicles, of some links or of a fault."""
     keys = check if isinstance(check, dict) else {}
     links = keys.get("links")
@@ -129,7 +129,7 @@ def _longer_chain(edges: dict[str, Any], vehicles: int) -> dict[str, Any] | None
     return None
 
 
-def _listed(named: Scalar) -> Scalar | list[Scalar]:
+def _list_vehicles(named: Scalar) -> Scalar | list[Scalar]:
     """Vehicles such as `2-4, 7` one by one; a text that names none stays, and becomes an error when it is read."""
     try:
         return [Scalar(n, named.place) for n in vehicle_numbers(str(named.value))]
@@ -137,7 +137,7 @@ def _listed(named: Scalar) -> Scalar | list[Scalar]:
         return named
 
 
-def _above(node: Any, most: int) -> bool:
+def _is_above(node: Any, most: int) -> bool:
     return isinstance(node, Scalar) and type(node.value) is int and node.value > most
 
 

@@ -12,7 +12,7 @@ from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import VehicleSection
 from fleet.scenario.sections import per_vehicle
 from fleet.scenario.sections.vehicle_files import LIMITS
-from fleet.scenario.text.nodes import compact
+from fleet.scenario.text.nodes import vehicles_to_nodes
 from fleet.scenario.text.yaml_writer import entry, scalar
 
 
@@ -32,9 +32,9 @@ def scenario_yaml(spec: ScenarioSpec) -> str:
     if values["expect"] == "pass":
         del values["expect"]
     if spec.nodes is not None:
-        values = compact(values)
+        values = vehicles_to_nodes(values)
     lines: list[str] = []
-    supplied = {} if spec.nodes is not None else _supplied(spec)
+    supplied = {} if spec.nodes is not None else _supplied_values(spec)
     for key, value in values.items():
         lines += entry(key, value, 0) if value != {} else [f"{key}:"]
         origin, given = supplied.get(key, ("", {}))
@@ -49,7 +49,7 @@ def short_yaml(spec: ScenarioSpec) -> str:
     """The text of a scenario with nothing that is so anyway, for people. Versions may differ in what that is."""
     values = spec.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
     values["per_vehicle"] = _per_vehicle(spec)
-    values = compact(values) if spec.nodes is not None else values
+    values = vehicles_to_nodes(values) if spec.nodes is not None else values
     return "\n".join(line for key, value in values.items() if value != {} for line in entry(key, value, 0)) + "\n"
 
 
@@ -61,13 +61,13 @@ def _per_vehicle(spec: ScenarioSpec) -> dict[str, Any]:
     }
 
 
-def _supplied(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
+def _supplied_values(spec: ScenarioSpec) -> dict[str, tuple[str, dict[str, Any]]]:
     """The values that profile and model supply: section -> (origin, values), for vehicles without own entries."""
     supplied: dict[str, tuple[str, dict[str, Any]]] = {}
     model = VehicleSection(model=spec.vehicle.model or "paper")
-    if set(per_vehicle.given(spec.vehicle)) <= {"model", "plant", "tumble_pitch", *LIMITS}:
+    if set(per_vehicle.given_values(spec.vehicle)) <= {"model", "plant", "tumble_pitch", *LIMITS}:
         supplied["vehicle"] = f"vehicle {model.model}", per_vehicle.inlined_vehicle(model, None).model_dump()
-    choice = per_vehicle.merged(spec, ())
+    choice = per_vehicle.merge_overrides(spec, ())
     names = per_vehicle.law_names(choice)
     if names is not None:
         guidance, tracking = names

@@ -18,10 +18,10 @@ from fleet.scenario.schema.programs import (
     RUNNING,
     ProgramSection,
     StackSignalSection,
-    filled,
+    expected_ending,
+    fill_placeholders,
     nodes_of,
     programs_of,
-    wanted,
 )
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.text.nodes import UNTIL_STOPPED_NS
@@ -59,7 +59,7 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
     nodes = dict(spec.nodes or {})
     if spec.duration == UNTIL_STOPPED_NS:
         yield ("clock",), "simulated time needs an end", "duration: 60 s"
-    programs = _by_node(spec, list(nodes))
+    programs = _programs_by_node(spec, list(nodes))
     for name, node in nodes.items():
         path = ("nodes", name)
         if not programs[name] and node.modem is None:
@@ -82,7 +82,7 @@ def obstacles(spec: ScenarioSpec) -> Iterator[Obstacle]:
                 yield ("programs", name), f"{{{place}}} is a file or port of a real host", "{listen}"
 
 
-def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
+def simulated_values(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     """The scenario of vehicles that a valid file of nodes is in simulated time, as values of its text.
 
     Args:
@@ -99,7 +99,7 @@ def simulated(spec: ScenarioSpec, folder: Path) -> dict[str, Any]:
     asked = spec.checks.programs
     offsets = [f"{x:g} {y:g} {z:g} m" for x, y, z in spec.formation.offsets or ()]
     per_vehicle = {}
-    programs = _by_node(spec, names)
+    programs = _programs_by_node(spec, names)
     for number, name in enumerate(names, start=1):
         per_vehicle[str(number)] = {"agent": _agent(spec, names, number, programs[name] or {name: _NOBODY}, folder)}
     if any(len(here) > 1 for here in programs.values()):  # else the check says what it is asked in the user's words
@@ -130,7 +130,7 @@ def command_folders(spec: ScenarioSpec) -> list[Path]:
     return [Path(file).resolve().parent for file in found if file is not None]
 
 
-def _by_node(spec: ScenarioSpec, names: Sequence[str]) -> dict[str, dict[str, ProgramSection]]:
+def _programs_by_node(spec: ScenarioSpec, names: Sequence[str]) -> dict[str, dict[str, ProgramSection]]:
     """The programs of each node, by name."""
     found: dict[str, dict[str, ProgramSection]] = {name: {} for name in names}
     for program, owner, section in programs_of(spec.programs or {}, names):
@@ -140,7 +140,7 @@ def _by_node(spec: ScenarioSpec, names: Sequence[str]) -> dict[str, dict[str, Pr
 
 def _ends_as(asked: Mapping[str, str] | None, node: str, programs: Mapping[str, ProgramSection]) -> str:
     """What the check says of all programs of a node together: it has ended when all of them have."""
-    found = {wanted(asked, program, node) for program in programs} or {RUNNING}
+    found = {expected_ending(asked, program, node) for program in programs} or {RUNNING}
     return found.pop() if len(found) == 1 else RUNNING if RUNNING in found else DONE
 
 
@@ -157,8 +157,8 @@ def _agent(
     ours = {} if node.udp else {
         "RMW_IMPLEMENTATION": "rmw_zenoh_cpp", "ZENOH_CONFIG_OVERRIDE": f'connect/endpoints=["{_ROUTER}"]',
     }  # fmt: skip
-    agent = _program([filled(word, known) for word in section.run], folder, section.folder)
-    if environment := ours | {key: filled(text, known) for key, text in section.env.items()}:
+    agent = _program([fill_placeholders(word, known) for word in section.run], folder, section.folder)
+    if environment := ours | {key: fill_placeholders(text, known) for key, text in section.env.items()}:
         agent["env"] = environment
     if awaited := [_ready(name, each, spec) for name, each in programs.items() if each.ready.line is not None]:
         agent["ready"] = awaited
@@ -166,12 +166,12 @@ def _agent(
         agent["files"] = beside
     name = names[number - 1]
     if len(programs) > 1:
-        agent["ends"] = _ENDS[wanted(spec.checks.programs, first, name)]
+        agent["ends"] = _ENDS[expected_ending(spec.checks.programs, first, name)]
         agent["beside"] = {
             program.removeprefix(f"{name}/"): {
-                "run": _command([filled(word, known) for word in each.run], folder / (each.folder or "")),
-                "env": {key: filled(text, known) for key, text in each.env.items()},
-                "ends": _ENDS[wanted(spec.checks.programs, program, name)],
+                "run": _command([fill_placeholders(word, known) for word in each.run], folder / (each.folder or "")),
+                "env": {key: fill_placeholders(text, known) for key, text in each.env.items()},
+                "ends": _ENDS[expected_ending(spec.checks.programs, program, name)],
             }
             for program, each in [*programs.items()][1:]
         }
@@ -215,7 +215,7 @@ def _ready(name: str, section: ProgramSection, spec: ScenarioSpec) -> dict[str, 
 def _signal(section: StackSignalSection, known: Mapping[str, object]) -> dict[str, Any]:
     """A signal of a node as one of its program."""
     given = section.model_dump(exclude_none=True, exclude_defaults=True, by_alias=True)
-    more = {} if section.message is None else {"message": filled(section.message, known)}
+    more = {} if section.message is None else {"message": fill_placeholders(section.message, known)}
     return {key: value for key, value in given.items() if key not in ("of", "unit")} | more
 
 

@@ -62,7 +62,7 @@ class TextPlace:
     def problem(self, message: str, hint: str = "", key: str = "") -> Problem:
         return Problem(self.source.name, self.line, self.column, message, hint, self.source.line(self.line), key)
 
-    def shifted(self, columns: int) -> TextPlace:
+    def shift(self, columns: int) -> TextPlace:
         return TextPlace(self.source, self.line, self.column + columns)
 
     @property
@@ -140,7 +140,7 @@ def text_place(root: Node, path: Sequence[str | int], column: int) -> TextPlace:
         elif isinstance(node, Items) and isinstance(step, int) and step < len(node.items):
             node = node.items[step]
     if isinstance(node, Scalar) and node.text is not None:
-        return node.text.shifted(column)
+        return node.text.shift(column)
     return locate(root, path)
 
 
@@ -251,7 +251,7 @@ class _Reader:
         value = event.value if quoted or event.style else resolve(event.value)
         at = place.column - 1 + quoted
         verbatim = self.source.line(place.line)[at : at + len(event.value)] == event.value
-        return Scalar(value, place, place.shifted(quoted) if verbatim else None)
+        return Scalar(value, place, place.shift(quoted) if verbatim else None)
 
     def _items(self, event: Any, events: Iterator[Any], depth: int) -> tuple[Items, int]:
         place, items, size = self._place(event.start_mark), [], 1

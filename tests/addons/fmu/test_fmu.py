@@ -19,7 +19,8 @@ from waiting import wait_for
 
 from fleet.addons.fmu import fmu
 from fleet.addons.fmu.fmu import FmuPlant, fmu_class
-from fleet.addons.fmu.fmu_variables import Description, UnitVariable, _Reader
+from fleet.addons.fmu.fmu_description import Description, UnitVariable
+from fleet.addons.fmu.fmu_variables import _Reader
 from world.api import PlantConfig, Vec3, Vec6, Water
 from world.config import PlantSetup
 from world.errors import FmuError, PlantError, PluginError, UntrustedError

@@ -10,9 +10,9 @@ from refusals import check_refusals
 from repository import ROOT
 from spawned import python
 
-from fleet.addons.fmu import fmu_archive, fmu_variables
+from fleet.addons.fmu import fmu_archive, fmu_description
 from fleet.addons.fmu.fmu_archive import archive
-from fleet.addons.fmu.fmu_variables import BaseUnit, UnitVariable, parse
+from fleet.addons.fmu.fmu_description import BaseUnit, UnitVariable, parse
 from netem.limits import FMU_DESCRIPTION
 from world.errors import FmuError
 
@@ -109,10 +109,10 @@ def test_one_that_is_wrong_says_what() -> None:
 
 
 def test_too_many_variables_or_elements(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fmu_variables, "MAX_VARIABLES", 2)
+    monkeypatch.setattr(fmu_description, "MAX_VARIABLES", 2)
     with pytest.raises(FmuError, match="has more than 2 variables; export it with fewer"):
         parse(text("".join(map(scalar, "abc"))))
-    monkeypatch.setattr(fmu_variables, "FMU_DESCRIPTION", FMU_DESCRIPTION._replace(items=5))
+    monkeypatch.setattr(fmu_description, "FMU_DESCRIPTION", FMU_DESCRIPTION._replace(items=5))
     with pytest.raises(FmuError, match="of more than 5 elements"):
         parse(text(scalar("a", "<b/>" * 5)))
 
@@ -121,13 +121,13 @@ def test_too_many_variables_or_elements(monkeypatch: pytest.MonkeyPatch) -> None
 def test_mistakes_without_end_take_no_longer_than_one(variable: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """100,000 of them took minutes, because each was described with its place among the others."""
     seen: list[str] = []
-    start = fmu_variables._Description.start
+    start = fmu_description._Description.start
 
-    def counted(reader: fmu_variables._Description, tag: str, attributes: dict[str, str]) -> None:
+    def counted(reader: fmu_description._Description, tag: str, attributes: dict[str, str]) -> None:
         seen.append(tag)
         start(reader, tag, attributes)
 
-    monkeypatch.setattr(fmu_variables._Description, "start", counted)
+    monkeypatch.setattr(fmu_description._Description, "start", counted)
     with pytest.raises(FmuError):
         parse(text(variable * 100_000))
     assert len(seen) < 10
@@ -147,15 +147,15 @@ def test_a_signal_ends_the_reading() -> None:
     """While the XML is parsed, which is native code that calls back."""
     code = """
 import os, signal
-from fleet.addons.fmu import fmu_variables
-first = fmu_variables._Description.start
+from fleet.addons.fmu import fmu_description
+first = fmu_description._Description.start
 def start(self, *args):
     first(self, *args)
     os.kill(os.getpid(), signal.SIGTERM)  # as an operator does, who waits
-fmu_variables._Description.start = start
+fmu_description._Description.start = start
 def ended(*_):
     raise SystemExit(7)
 signal.signal(signal.SIGTERM, ended)
-fmu_variables.parse(b'<fmiModelDescription fmiVersion="2.0"><a/></fmiModelDescription>')
+fmu_description.parse(b'<fmiModelDescription fmiVersion="2.0"><a/></fmiModelDescription>')
 """
     assert python("-c", code, cwd=ROOT).returncode == 7

@@ -81,13 +81,13 @@ def test_a_message_with_line_feeds_is_whole(program: Program, water: Water) -> N
 
 def test_an_instant_message_that_the_water_loses_has_failed(program: Program, water: Water) -> None:
     assert program.asks(b"+++AT*SENDIM,1,2,ack,x\n") == b"+++AT*SENDIM:2:OK\r\n"
-    water.core.dropped(water.next().tag, Cause.MUTE)
+    water.core.on_dropped(water.next().tag, Cause.MUTE)
     assert program.hears() == b"+++AT:10:FAILEDIM,2\r\n"
 
 
 def test_what_comes_is_told_and_acknowledged(program: Program, water: Water) -> None:
     assert program.asks(b"+++AT@ZX1\n") == b"+++AT@ZX:2:OK\r\n"
-    water.core.reached(Sound(water.at(0.0), water.at(0.1)))
+    water.core.on_reached(Sound(water.at(0.0), water.at(0.1)))
     assert program.hears() == b"+++AT:9:RECVSTART\r\n"
     water.brings(3, b"hi\n", head=bytes((1, 7, INSTANT)), what=EvoLogics.link, left=1.0, came=1.2)
     assert program.hears() == b"+++AT:30:RECVEND,1300000,30000,-101,120\r\n"
@@ -161,7 +161,7 @@ def test_burst_data_longer_than_a_frame_arrive_at_once(program: Program, water: 
 
 def test_burst_data_end_with_the_piece_that_fails(program: Program, water: Water) -> None:
     assert program.asks(b"+++AT*SEND,100,2," + b"x" * 100 + b"\n") == b"+++AT*SEND:2:OK\r\n"
-    water.core.dropped(water.next().tag, Cause.MUTE)
+    water.core.on_dropped(water.next().tag, Cause.MUTE)
     assert program.hears() == b"+++AT:10:FAILED,0,2\r\n" and not water.given
 
 
@@ -220,8 +220,8 @@ def test_notifications_have_to_be_switched_on(program: Program, water: Water) ->
     assert program.asks(b"+++AT?ZX\n") == b"+++AT?ZX:1:0\r\n"
     assert program.asks(b"+++AT*SENDIM,1,2,noack,x\n") == b"+++AT*SENDIM:2:OK\r\n"
     water.sends()
-    water.core.reached(Sound(water.at(0.0), water.at(0.1)))
-    water.core.spoiled(Cause.SNR, water.at(1.0))
+    water.core.on_reached(Sound(water.at(0.0), water.at(0.1)))
+    water.core.on_spoiled(Cause.SNR, water.at(1.0))
     water.brings(3, b"hi", what=INSTANT, left=1.0, came=1.2)
     assert b"RECVIM,2,3,1,noack" in program.hears()
 
@@ -255,7 +255,7 @@ def test_strength_and_integrity_follow_from_the_level(
     water.brings(3, b"hi", what=INSTANT, left=1.0, came=1.2, level=Level(150.0, snr))
     assert program.hears().endswith(b",-71,%d\r\n" % integrity)
     assert b",-71,%d,0.0000,hi" % integrity in program.hears()
-    water.core.spoiled(Cause.COLLISION, water.at(1.0), Level(150.0, snr))
+    water.core.on_spoiled(Cause.COLLISION, water.at(1.0), Level(150.0, snr))
     assert program.hears().endswith(b":RECVFAILED,0.0000,-71,%d\r\n" % min(99, integrity))
 
 
@@ -265,7 +265,7 @@ def test_a_synchronous_message_leaves_at_its_time_and_says_when_it_came(program:
     assert program.asks(b"+++AT*SENDIMS,2,2,%d,hi\n" % at_us) == b"+++AT*SENDIMS:2:OK\r\n"
     request = water.next()
     assert (request.to, request.at_ns, request.payload) == (2, water.begin_ns + at_us * 1000, b"hi")
-    water.core.dropped(request.tag, Cause.QUEUE)
+    water.core.on_dropped(request.tag, Cause.QUEUE)
     assert program.hears() == b"+++AT:12:EXPIREDIMS,2\r\n"
     assert program.asks(b"+++AT*SENDIMS,2,2,1,hi\n") == b"+++AT*SENDIMS:18:ERROR OUT OF RANGE\r\n"
     assert program.asks(b"+++AT*SENDIMS,2,2,,hi\n") == b"+++AT*SENDIMS:2:OK\r\n"

@@ -109,9 +109,9 @@ def test_a_defect_of_ours_costs_one_event_and_is_told(
     def broken(*_: object, **__: object) -> None:
         raise ValueError("a defect")
 
-    monkeypatch.setattr(water.core.language, "heard", broken)
+    monkeypatch.setattr(water.core.language, "on_heard", broken)
     water.brings(2, b"1", left=1.0, came=1.1)
-    water.core.line_port.post(lambda: water.core.after(0.0, broken))
+    water.core.line_port.post(lambda: water.core.call_after(0.0, broken))
     assert (
         answers(water, language) and water.core.remark == "its modem failed in part: the traceback is in log/relay.log"
     )

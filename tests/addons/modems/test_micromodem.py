@@ -294,7 +294,7 @@ def test_a_packet_that_comes(program: Program, water: Water) -> None:
 
 
 def test_a_collision_is_a_bad_frame(program: Program, water: Water) -> None:
-    water.core.spoiled(Cause.COLLISION, water.at(3.0))
+    water.core.on_spoiled(Cause.COLLISION, water.at(3.0))
     assert program.hears() == ["CAMSG", "BAD_CRC", "1"]
     kind, _, mode, *rest = program.hears()
     assert (kind, mode, rest[16:18]) == ("CACST", "1", ["1", "1"])
@@ -361,7 +361,7 @@ def test_a_packet_that_finds_no_room_is_refused_whole(program: Program, water: W
     assert program.hears()[0] == "CATDP" and program.hears()[-1] == "THE QUEUE IS FULL"
     assert not water.given and water.core.remark.startswith("its modem refused 4 payloads")
     program.says("CCTDP", 2, 5, 0, 0, "00" * 3 * 64)
-    water.core.dropped(water.next().tag, Cause.MUTE)
+    water.core.on_dropped(water.next().tag, Cause.MUTE)
     for _ in range(2):
         water.sends()
     assert [program.hears()[0] for _ in range(4)] == ["CATDP", "CAERR", "CATXP", "CATXF"]

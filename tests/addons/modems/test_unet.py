@@ -155,7 +155,7 @@ def test_a_frame_with_a_time_begins_then(program: Program, water: Water) -> None
     assert water.next().payload == b"\x02"
     request = water.next()
     assert (request.payload, request.at_ns) == (b"\x01", water.begin_ns + at_us * 1000)
-    water.core.sent(SentFrame(request.tag, request.at_ns or 0, 100_000_000))
+    water.core.on_sent(SentFrame(request.tag, request.at_ns or 0, 100_000_000))
     kind, data = program.message()
     assert (kind, data["txTime"]) == ("TxFrameNtf", at_us)
 
@@ -174,7 +174,7 @@ def test_a_time_that_cannot_be_kept_is_refused_or_told(program: Program, water: 
     at_us = program.get("phy", "time") + 60_000
     program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=at_us)
     assert program.message()[1]["perf"] == "AGREE"
-    water.core.dropped(water.next().tag, Cause.QUEUE)
+    water.core.on_dropped(water.next().tag, Cause.QUEUE)
     assert program.message()[1]["reason"] == "the modem was still sending something else at that time"
 
 
@@ -192,7 +192,7 @@ def test_a_time_that_is_years_away_keeps_the_modem_alive(program: Program, water
 
 
 def test_a_modem_with_tries_keeps_no_time(program: Program, water: Water) -> None:
-    water.core.sea = water.core.sea._replace(modem=replace(water.core.sea.modem, tries=3))
+    water.core.channel = water.core.channel._replace(modem=replace(water.core.channel.modem, tries=3))
     program.requests(f"{UNET}.phy.TxFrameReq", "phy", to=2, data=[1], txTime=10**12)
     assert "begins at no time" in program.message()[1]["reason"]
 
@@ -267,7 +267,7 @@ def test_a_datagram_that_the_water_refuses_is_told(program: Program, water: Wate
     assert program.message()[1]["perf"] == "AGREE"
     tag = water.next().tag
     for _ in range(2):  # one loss per receiver
-        water.core.dropped(tag, Cause.MUTE)
+        water.core.on_dropped(tag, Cause.MUTE)
     kind, data = program.message()
     assert (kind, data["to"], data["reason"]) == ("DatagramFailureNtf", 2, "mute")
 
@@ -277,7 +277,7 @@ def test_who_listens_hears_once_with_times(program: Program, water: Water, topic
     program.say(action="wantsMessagesFor", agentIDs=[topic, DATAGRAM_TOPIC])
     program.asks("services")  # it has been read
     water.brings(2, b"hi", left=2.0, came=2.5, what=32)
-    water.core.spoiled(Cause.COLLISION, water.at(3.0))
+    water.core.on_spoiled(Cause.COLLISION, water.at(3.0))
     kind, data = program.message()
     assert kind == "RxFrameNtf" and base64.b64decode(data["data"]["data"]) == b"hi"
     assert (data["from"], data["to"], data["protocol"]) == (2, 1, 32)
@@ -386,7 +386,7 @@ def test_the_pieces_of_a_datagram_end_with_the_first_that_is_lost_or_cleared(
     program.requests(kind, "uwlink", to=2, data=[1] * 150, reliability=reliability)
     assert program.message()[1]["perf"] == "AGREE"
     for _ in range(3 if reliability else 1):
-        water.core.dropped(water.next().tag, Cause.MUTE)
+        water.core.on_dropped(water.next().tag, Cause.MUTE)
     assert program.message()[0] == "DatagramFailureNtf" and not water.given
     program.requests(kind, "uwlink", to=2, data=[1] * 150, reliability=reliability)
     assert program.message()[1]["perf"] == "AGREE"
@@ -394,7 +394,7 @@ def test_the_pieces_of_a_datagram_end_with_the_first_that_is_lost_or_cleared(
     program.requests(f"{UNET}.ClearReq", "phy")
     told = [program.message()[0]]
     if not reliability:  # its first piece is in the channel, and goes on
-        water.core.sent(SentFrame(request.tag, water.at(1.0), 100_000_000))
+        water.core.on_sent(SentFrame(request.tag, water.at(1.0), 100_000_000))
     told.append(program.message()[0])
     assert sorted(told) == ["DatagramFailureNtf", "Message"] and not water.given
 
@@ -425,7 +425,7 @@ def test_a_frame_that_is_never_acknowledged_is_sent_three_times(program: Program
     program.requests(f"{UNET}.DatagramReq", "uwlink", to=2, data=[7], reliability=True)
     assert program.message()[1]["perf"] == "AGREE"
     for _ in range(3):
-        water.core.dropped(water.next().tag, Cause.MUTE)
+        water.core.on_dropped(water.next().tag, Cause.MUTE)
     kind, data = program.message()
     assert (kind, data["to"]) == ("DatagramFailureNtf", 2) and not water.given
 
@@ -437,9 +437,9 @@ def test_what_is_lost_twice_before_it_left_is_one_try(program: Program, water: W
     tags = []
     for _ in range(2):
         tags.append(water.next().tag)
-        water.core.dropped(tags[-1], Cause.MUTE)
-        water.core.dropped(tags[-1], Cause.MUTE)
-        water.core.sent(SentFrame(tags[0], water.at(1.0), 100_000_000))
+        water.core.on_dropped(tags[-1], Cause.MUTE)
+        water.core.on_dropped(tags[-1], Cause.MUTE)
+        water.core.on_sent(SentFrame(tags[0], water.at(1.0), 100_000_000))
     number = water.sends().head[1]
     water.brings(2, b"", head=bytes((0, number, 0)), what=Unet.link, left=2.0, came=2.2)
     assert program.message()[0] == "DatagramDeliveryNtf" and len(set(tags)) == 2
@@ -467,7 +467,7 @@ def test_a_full_queue_holds_up_no_second_try_and_no_answer(program: Program, wat
         program.requests(f"{UNET}.DatagramReq", "phy", data=[8])
     assert [program.message()[1]["perf"] for _ in range(3)] == ["AGREE"] * 3
     water.brings(3, b"\7", what=RANGING, left=1.0, came=2.0)
-    water.core.dropped(water.next().tag, Cause.MUTE)
+    water.core.on_dropped(water.next().tag, Cause.MUTE)
     given = [water.sends().what for _ in range(4)]
     assert given == [0, 0, RANGING, Unet.link] and not water.core.remark
 
@@ -481,7 +481,7 @@ def test_a_second_try_that_finds_no_room_at_all_has_failed(
     for _ in range(2):
         program.requests(f"{UNET}.DatagramReq", "phy", data=[8])
     assert [program.message()[1]["perf"] for _ in range(3)] == ["AGREE"] * 3
-    water.core.dropped(water.next().tag, Cause.MUTE)
+    water.core.on_dropped(water.next().tag, Cause.MUTE)
     assert program.message()[0] == "DatagramFailureNtf" and water.next().payload == b"\x08"
 
 
@@ -499,7 +499,7 @@ def test_a_modem_that_hears_something_is_busy_and_says_when_it_begins(program: P
     """This is what a program with a MAC of its own senses the carrier by."""
     program.say(action="wantsMessagesFor", agentIDs=["#phy__ntf"])
     assert program.get("phy", "busy") is False
-    water.core.reached(Sound(water.at(0.25), water.at(1e6)))
+    water.core.on_reached(Sound(water.at(0.25), water.at(1e6)))
     kind, data = program.message()
     assert (kind, data["rxTime"]) == ("RxFrameStartNtf", 250_000)
     assert program.get("phy", "busy") is True and water.core.state == "receiving"
@@ -507,9 +507,9 @@ def test_a_modem_that_hears_something_is_busy_and_says_when_it_begins(program: P
     assert program.message()[1]["perf"] == "AGREE"
     now_s = (monotonic_ns() - water.begin_ns) / 1e9
     request = water.next()
-    water.core.sent(SentFrame(request.tag, water.at(now_s), 10**15))
+    water.core.on_sent(SentFrame(request.tag, water.at(now_s), 10**15))
     assert program.message()[0] == "TxFrameNtf" and water.core.state == "transmitting"
-    water.core.reached(Sound(water.at(now_s), water.at(1e6)))  # which it does not hear
+    water.core.on_reached(Sound(water.at(now_s), water.at(1e6)))  # which it does not hear
     assert program.asks("containsAgent", agentID="phy")["answer"] is True
 
 

@@ -56,6 +56,6 @@ def test_units_that_cannot_be_read_are_none(alone: Alone) -> None:
 
 
 def test_one_vehicle_s_norm_is_made_when_it_is_asked_for(signals: Signals) -> None:
-    assert signals.meant("|uuv/2/error.e|") == ["|uuv/2/error.e|"]
+    assert signals.names_of("|uuv/2/error.e|") == ["|uuv/2/error.e|"]
     with pytest.raises(KeyError, match=r"command\.tau_0"):
-        signals.meant("uuv/1/command.tau[0]")
+        signals.names_of("uuv/1/command.tau[0]")

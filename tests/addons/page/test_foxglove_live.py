@@ -74,7 +74,7 @@ def test_only_what_viewers_want_is_fetched(log: Path, tmp_path: Path) -> None:
 
     def fetched() -> set[str]:
         prefix = f"fleet/{observed.run}/log/"
-        return {key.removeprefix(prefix) for key in set(replay.key_of.values()) - set(replay.unmatched())}
+        return {key.removeprefix(prefix) for key in set(replay.key_of.values()) - set(replay.unmatched_keys())}
 
     with joined(observed) as bus:
         bridge = LiveBridge(

@@ -31,14 +31,14 @@ def shown(log: Path, *, rate: float = 1.0, loop: bool = False) -> Iterator[tuple
 
 def test_a_viewer_gets_the_log(log: Path, records: list[Record]) -> None:
     """All topics with the log's schemas, in simulated time; of those it subscribes to every message, byte for byte."""
-    tape = SeekableLog(log)
+    seekable = SeekableLog(log)
     topics = ("uuv/1/state", "link/1-2", "scene")
     with shown(log) as (watcher, _):
         info = watcher.infos[0]
         assert info["capabilities"] == ["time", "playbackControl"] and not watcher.services
         assert (info["dataStartTime"], info["dataEndTime"]) == ({"sec": 0, "nsec": 0}, {"sec": 2, "nsec": 0})
-        for channel in tape.channels.values():
-            found, schema = watcher.channels[channel.topic], tape.schemas[channel.schema_id]
+        for channel in seekable.channels.values():
+            found, schema = watcher.channels[channel.topic], seekable.schemas[channel.schema_id]
             assert (found["encoding"], found["schemaName"]) == ("protobuf", schema.name)
             assert base64.b64decode(found["schema"]) == schema.data
         watcher.control(play=False)

@@ -213,14 +213,14 @@ def test_the_curves_of_the_whole_log_are_those_of_its_moments(feed: LogFeed) -> 
 
 
 def test_a_signal_of_all_vehicles_is_drawn_whole(feed: LogFeed, log: Path) -> None:
-    names = feed.signals.meant("|error.e|")
+    names = feed.signals.names_of("|error.e|")
     assert names == [f"|uuv/{i}/error.e|" for i in range(1, 5)]
     curves = feed.whole(names)["signals"]
     error = open_log(log)["uuv/2/error"]
     for t, value in curves["|uuv/2/error.e|"][1:-1:10]:
         assert value == pytest.approx(error.e_norm[round(t / 0.01)], abs=1e-3)
     with pytest.raises(KeyError, match="control"):
-        feed.signals.meant("contrl.e")
+        feed.signals.names_of("contrl.e")
 
 
 def test_a_log_opens_at_its_first_failed_moment(alone: Alone, made: Alone, feed: LogFeed) -> None:

@@ -69,7 +69,7 @@ class FollowedFeed(AskedFeed):
 
     def __init__(self) -> None:
         super().__init__()
-        self.signals: Any = SimpleNamespace(by_name=("a", "b", *commands_of(1)), meant=self.meant)
+        self.signals: Any = SimpleNamespace(by_name=("a", "b", *commands_of(1)), names_of=self.meant)
         self.picture: Any = SimpleNamespace(history=dict)
         self.followed: list[set[str]] = []
 

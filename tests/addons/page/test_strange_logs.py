@@ -19,7 +19,7 @@ from small_scenario import small
 from fleet.addons.page.feed import TRANSFORMS, fault_message, is_lost, take
 from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.page.view_state import ViewState
-from fleet.logs.decoder import decoded
+from fleet.logs.decoder import decode_message
 from fleet.mcap.reader import LogReadError
 from fleet.mcap.seekable_log import SeekableLog
 from netem.limits import LOG_FAULTS, LOG_MESSAGE
@@ -94,7 +94,7 @@ def test_messages_that_are_too_large_are_left_out() -> None:
     assert state.frame()["uuv"] == state.frame()["packets"] == [] and state.at_s == 0.0
     assert fault_message(large) is None and not is_lost(large)
     with pytest.raises(DecodeError, match="8388609 bytes, more than the 8388608"):
-        decoded(None, large)
+        decode_message(None, large)
 
 
 def test_more_faults_than_anybody_can_look_at_are_refused(

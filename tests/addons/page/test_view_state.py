@@ -132,7 +132,7 @@ def test_who_comes_late_shows_no_age_that_is_wrong(packets: list[tuple[int, str]
             picture.packet(links[k], packet(float(number), number + 0.05, fate))
     for picture in (whole, late, told):
         picture.at_s = float(max(len(packets), first))
-    told.told(told.at_s, [{"src": src, "dst": dst, "age_s": age((src, dst))} for src, dst in links])
+    told.set_link_ages(told.at_s, [{"src": src, "dst": dst, "age_s": age((src, dst))} for src, dst in links])
     ages = shown(whole)["ages"]
     assert shown(told)["ages"] == ages and shown(told)["since"] == first
     heard = {links[k] for k, fate in packets[first:] if fate == "delivered"}
@@ -182,7 +182,7 @@ def test_what_happened_to_vehicles_is_one_row_for_each_and_past_faults_stay_know
     changes = picture.changes
     picture.faults([*known["faults"], *picture._events.values()])
     assert picture.known() == known and picture.changes == changes  # nothing is new
-    picture.happened([{"what": "tumbled 3", "times": 4, "first_s": 0.05}])  # the console has seen more
+    picture.set_vehicle_events([{"what": "tumbled 3", "times": 4, "first_s": 0.05}])  # the console has seen more
     assert picture.known()["events"] == [{"text": "tumbled 3: 4 times, first at 0.05 s", "at_s": 0.05}]
 
 

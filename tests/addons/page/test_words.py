@@ -10,11 +10,11 @@ from small_scenario import small
 from tool import invoke
 
 from fleet.addons.page import page as words
-from fleet.scenario.faults.kind import FaultKind, OfLinks, OfVehicles
+from fleet.scenario.faults.kind import FaultKind, LinkFaultKind, VehicleFaultKind
 from fleet.scenario.text.fault_words import read_fault
 
 
-@pytest.mark.parametrize(("kind", "target"), [(OfLinks, "1->2"), (OfVehicles, "2"), (FaultKind, "")])
+@pytest.mark.parametrize(("kind", "target"), [(LinkFaultKind, "1->2"), (VehicleFaultKind, "2"), (FaultKind, "")])
 def test_every_suggestion_is_a_fault(kind: type[FaultKind], target: str) -> None:
     scenario = small("duration=60 s")
     offered = words.suggestions(kind, target)

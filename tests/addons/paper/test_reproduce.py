@@ -20,9 +20,9 @@ from fleet.addons.paper.cases import (
     Recording,
     U,
     late_s,
-    recorded,
+    recording_of,
     run_case,
-    tumbled,
+    tumble_time,
     vehicle_measures,
 )
 from fleet.addons.paper.claims import CORRECTED, NO_K_MAX, PRINTED, Claim, ClaimCheck, judge
@@ -36,7 +36,8 @@ from fleet.addons.paper.figures import (
     inputs,
     topology,
 )
-from fleet.addons.paper.run import HEADINGS, _network_check, chosen, table_1, write
+from fleet.addons.paper.report import HEADINGS, chosen, table_1, write
+from fleet.addons.paper.run import _network_check
 from fleet.processes.interrupts import HungUp
 from fleet.result.result import Result, Status
 
@@ -85,9 +86,9 @@ def test_a_vehicle_that_tumbles_is_told_by_its_pitch() -> None:
 
 def test_tumbled_is_beyond_80_degrees_either_way() -> None:
     t = np.arange(4.0)
-    assert tumbled(t, np.radians([0.0, 79.9, -79.9, 0.0])) is None
-    assert tumbled(t, np.radians([0.0, 10.0, 80.1, 0.0])) == 2.0
-    assert tumbled(t, np.radians([0.0, -80.1, 0.0, 95.0])) == 1.0
+    assert tumble_time(t, np.radians([0.0, 79.9, -79.9, 0.0])) is None
+    assert tumble_time(t, np.radians([0.0, 10.0, 80.1, 0.0])) == 2.0
+    assert tumble_time(t, np.radians([0.0, -80.1, 0.0, 95.0])) == 1.0
 
 
 def test_a_failure_is_a_tumble_or_an_early_end() -> None:
@@ -100,7 +101,7 @@ def test_a_failure_is_a_tumble_or_an_early_end() -> None:
 def recording(folder: Path, scenario: str, *changes: str) -> Recording:
     with fleet.Run(scenario, set=["checks={}", *changes], log=folder / "run.mcap") as run:
         run.to_end()
-    return recorded(fleet.open_log(folder / "run.mcap"))
+    return recording_of(fleet.open_log(folder / "run.mcap"))
 
 
 def test_recording_has_what_each_vehicle_reports(tmp_path: Path) -> None:

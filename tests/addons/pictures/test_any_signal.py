@@ -14,7 +14,7 @@ from fleet.addons.pictures.any_signal import signals_of_checks
 from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.gallery import WHAT, draw
 from fleet.addons.pictures.report import page, telling
-from fleet.addons.pictures.runs import Run, View, load
+from fleet.addons.pictures.runs import LoggedRun, View, load
 from fleet.cli.main import cli
 from fleet.logs.topic_names import signal_names
 
@@ -35,17 +35,17 @@ def directory(made: Alone) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(directory: Path) -> Run:
+def run(directory: Path) -> LoggedRun:
     return load([directory])[0]
 
 
-def figure(run: Run, name: str, view: View | None = None) -> Figure:
+def figure(run: LoggedRun, name: str, view: View | None = None) -> Figure:
     ((_, _, found),) = draw([name], [run], view or View())
     assert isinstance(found, Figure), found
     return found
 
 
-def test_whole_numbers_are_steps_that_do_not_hide_each_other(run: Run) -> None:
+def test_whole_numbers_are_steps_that_do_not_hide_each_other(run: LoggedRun) -> None:
     drawn = figure(run, "control.leader")
     (ax,) = drawn.axes
     lines = [line for line in ax.get_lines() if "-vehicle-" in str(line.get_gid())]
@@ -61,7 +61,7 @@ def test_whole_numbers_are_steps_that_do_not_hide_each_other(run: Run) -> None:
     assert "fails at" in caption_of(drawn)
 
 
-def test_other_numbers_are_lines_with_what_a_check_asks(run: Run) -> None:
+def test_other_numbers_are_lines_with_what_a_check_asks(run: LoggedRun) -> None:
     (ax,) = figure(run, "state.z").axes
     assert {line.get_drawstyle() for line in ax.get_lines()} == {"default"}
     assert ax.get_ylabel() == "state.z [m]"
@@ -70,7 +70,7 @@ def test_other_numbers_are_lines_with_what_a_check_asks(run: Run) -> None:
     assert [text.get_text() for text in ax.texts if text.get_gid() == "check-name"] == ["check: below 7 m after 1 s"]
 
 
-def test_a_vector_has_an_axis_for_each_component(run: Run) -> None:
+def test_a_vector_has_an_axis_for_each_component(run: LoggedRun) -> None:
     labels = [ax.get_ylabel() for ax in figure(run, "command.tau").axes]
     assert labels == ["command.tau_0 [N]", "command.tau_1 [N m]", "command.tau_2 [N m]"]
     (ax,) = figure(run, "command.tau_1", View(vehicles=(2,))).axes
@@ -81,13 +81,13 @@ def test_a_vector_has_an_axis_for_each_component(run: Run) -> None:
     assert np.asarray(norm.get_ydata())[-1] == pytest.approx(run.log["uuv/1/error"]["e_norm"][-1])
 
 
-def test_the_name_of_one_vehicle_is_drawn_alone(run: Run) -> None:
+def test_the_name_of_one_vehicle_is_drawn_alone(run: LoggedRun) -> None:
     (ax,) = figure(run, "|uuv/2/error.e|").axes
     assert ax.get_ylabel() == "|error.e| [m]"
     assert [line.get_gid() for line in ax.get_lines() if "vehicle" in str(line.get_gid())] == [f"{run.slug}-vehicle-2"]
 
 
-def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
+def test_signals_of_checks_are_drawn_without_asking(run: LoggedRun) -> None:
     """Also those that a check in Python looked at. `error.e_norm` has a picture of its own, which comes first."""
     assert list(map(str, signals_of_checks([run]))) == [
         "state.z",
@@ -100,7 +100,9 @@ def test_signals_of_checks_are_drawn_without_asking(run: Run) -> None:
     assert telling(run)[0] == "state.z"
 
 
-def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_report_begins_with_the_verdict_a_picture_and_the_reason(
+    run: LoggedRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("fleet.addons.pictures.report.WHAT", {"checks": WHAT["checks"]})
     text = page([run], View())
     places = [

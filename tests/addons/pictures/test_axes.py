@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet.addons.pictures.axes import BAND, COLUMNS, enveloped, outliers, reach, spread, vehicle_colours, within
+from fleet.addons.pictures.axes import (
+    BAND,
+    COLUMNS,
+    clip_to_window,
+    outliers,
+    reach,
+    split_envelope,
+    spread,
+    vehicle_colours,
+)
 from fleet.palette import COLOURS
 
 
@@ -24,7 +33,7 @@ from fleet.palette import COLOURS
 )
 def test_a_line_reaches_the_edges_of_a_window(window: tuple[float, float] | None, kept: list[float]) -> None:
     t = np.array([0.0, 1.0, 2.0, np.nan, 5.0, 6.0])
-    found, values = within(t, 10.0 * t, window)
+    found, values = clip_to_window(t, 10.0 * t, window)
     np.testing.assert_array_equal(found, kept)
     np.testing.assert_array_equal(values, 10.0 * np.array(kept))
 
@@ -75,16 +84,16 @@ T = np.arange(0.0, 60.0, 0.01)
 def test_what_oscillates_slowly_or_hardly_is_drawn_as_it_is() -> None:
     noise = 1e-3 * np.random.default_rng(1).standard_normal(len(T))
     for values in (np.sin(T), np.zeros(len(T)), np.floor(T / 5.0), T + noise, np.full(len(T), np.nan)):
-        line, around = enveloped(T, values, SPAN, reach([(T, values)]))
+        line, around = split_envelope(T, values, SPAN, reach([(T, values)]))
         assert around is None and line[0] is T and line[1] is values
-    assert enveloped(T[:5], np.array([0.0, 1.0, 0.0, 1.0, 0.0]), SPAN, 1.0)[1] is None
+    assert split_envelope(T[:5], np.array([0.0, 1.0, 0.0, 1.0, 0.0]), SPAN, 1.0)[1] is None
 
 
 @pytest.mark.parametrize("log", [False, True])
 def test_a_fast_oscillation_has_its_extremes_and_its_mean(log: bool) -> None:
     """From 20 s on: before, the line has every sample."""
     values = np.where(T < 20.0, 2.0, 2.0 + np.where(np.arange(len(T)) % 2, 1.0, -1.0))
-    (t, drawn), around = enveloped(T, values, SPAN, reach([(T, values)], log), log)
+    (t, drawn), around = split_envelope(T, values, SPAN, reach([(T, values)], log), log)
     fast = around.t[np.isfinite(around.low)]
     assert 19.0 < fast.min() < 22.0 and fast.max() == 60.0
     assert np.nanmin(around.low) == 1.0 and np.nanmax(around.high) == 3.0
@@ -98,7 +107,7 @@ def test_every_sample_is_on_the_line_or_within_the_envelope(some: list[float], s
     values = rng.choice(np.array(some), 5000)
     values[rng.integers(0, 5000, 5)] = np.nan
     t = np.linspace(*SPAN, 5000)
-    (drawn_t, drawn), around = enveloped(t, values, SPAN, reach([(t, values)]))
+    (drawn_t, drawn), around = split_envelope(t, values, SPAN, reach([(t, values)]))
     assert len(drawn_t) == len(drawn)
     if around is None:
         return
@@ -111,7 +120,7 @@ def test_every_sample_is_on_the_line_or_within_the_envelope(some: list[float], s
 def test_a_gap_stays_a_gap() -> None:
     values = np.where(np.arange(len(T)) % 2, 1.0, -1.0)
     t, values = np.insert(T, 3000, np.nan), np.insert(values, 3000, np.nan)
-    (drawn_t, drawn), around = enveloped(t, values, SPAN, reach([(t, values)]))
+    (drawn_t, drawn), around = split_envelope(t, values, SPAN, reach([(t, values)]))
     assert around is not None
     (gap,) = np.flatnonzero(np.isnan(drawn_t))
     assert np.isnan(drawn[gap]) and drawn_t[gap - 1] < 31.0 and drawn_t[gap + 1] > 29.0

@@ -10,15 +10,15 @@ from channel_starts import channel_starts
 from in_process_runs import recorded
 from shared import made_once
 
-from fleet.addons.pictures.channel import OVERHEARD, SENDS, Transmission, _moment, lanes, timeline, transmissions
-from fleet.addons.pictures.runs import NothingToDraw, Run, View, load
+from fleet.addons.pictures.channel import OVERHEARD, SENDS, DrawnTransmission, _moment, lanes, timeline, transmissions
+from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View, load
 from netem.cause import Cause
 
 PARTITION = "faults=[{at: 8 s, for: 6 s, partition: '1,2 / 3,4'}]"
 LOSSY = "network.links={'*': loss 20%}"
 
 
-Ran = Callable[..., tuple[Run, set[tuple[int, int]]]]
+Ran = Callable[..., tuple[LoggedRun, set[tuple[int, int]]]]
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
             directory = recorded(folder, "acoustic-s2c", "duration=20 s", "checks={}", *changes).directory
         return directory, set(found)
 
-    def run(*changes: str) -> tuple[Run, set[tuple[int, int]]]:
+    def run(*changes: str) -> tuple[LoggedRun, set[tuple[int, int]]]:
         directory, found = made_once(tmp_path_factory, ("channel", changes), lambda folder: make(folder, changes))
         return load([directory])[0], found
 
@@ -87,6 +87,6 @@ def test_spans_that_overlap_have_lanes_of_their_own() -> None:
 
 def test_the_window_leaves_out_what_is_empty() -> None:
     """Three transmissions in ten minutes: before, the picture began at 0."""
-    on_air = [Transmission(1, begin, 0.5, ((2, begin + 0.3, "delivered"),)) for begin in (300.0, 310.0, 320.0)]
+    on_air = [DrawnTransmission(1, begin, 0.5, ((2, begin + 0.3, "delivered"),)) for begin in (300.0, 310.0, 320.0)]
     begin, end = _moment(on_air, 600.0)
     assert 280.0 < begin < 300.0 and 320.8 < end < 340.0

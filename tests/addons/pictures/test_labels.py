@@ -13,8 +13,8 @@ from tool import invoke
 import fleet
 from fleet.addons.pictures.caption import caption_of, fitting, text_width_pt
 from fleet.addons.pictures.gallery import draw
-from fleet.addons.pictures.labels import differences, named
-from fleet.addons.pictures.look import Look, looking, parse_look, text_pt, wanted
+from fleet.addons.pictures.labels import differences, given_labels
+from fleet.addons.pictures.look import Look, current_look, looking, parse_look, text_pt
 from fleet.addons.pictures.runs import View, load
 from fleet.errors import FleetError
 
@@ -56,14 +56,14 @@ def test_a_legend_names_what_differs_and_what_the_user_says(pair: list[Path]) ->
     assert [run.label for run in load(pair)] == ["k_u 1 1/s, no faults", "k_u 2 1/s, with faults"]
     assert [run.label for run in load(pair, labels={str(pair[1]): "new"})] == ["k_u 1 1/s, no faults", "new"]
     assert [run.label for run in load(pair, labels=["same", "same"])] == ["same", "same (2)"]
-    assert named([Path("runs/a"), Path("runs/b")], {"runs/b": "new\x1b[31m"}) == [None, "new�[31m"]
-    assert named([Path("x/a/run.mcap"), Path("y/b")], {"a": "new"}) == ["new", None]
+    assert given_labels([Path("runs/a"), Path("runs/b")], {"runs/b": "new\x1b[31m"}) == [None, "new�[31m"]
+    assert given_labels([Path("x/a/run.mcap"), Path("y/b")], {"a": "new"}) == ["new", None]
     with pytest.raises(FleetError, match=r"'a' is 2 of what is drawn; write the path"):
-        named([Path("x/a"), Path("y/a")], {"a": "new"})
+        given_labels([Path("x/a"), Path("y/a")], {"a": "new"})
     with pytest.raises(FleetError, match=r"'runs/c' is none of what is drawn; there are a, b"):
-        named([Path("runs/a"), Path("runs/b")], {"runs/c": "new"})
+        given_labels([Path("runs/a"), Path("runs/b")], {"runs/c": "new"})
     with pytest.raises(FleetError, match="expected 1 or fewer, got 2"):
-        named([Path("a")], ["x", "y"])
+        given_labels([Path("a")], ["x", "y"])
 
 
 @pytest.mark.parametrize("labels", [(), ("a" * 39, "$\\frac" + "b" * 33)])
@@ -91,7 +91,7 @@ def test_words_are_broken_where_they_have_to_be() -> None:
 def test_a_look_is_a_font_its_size_and_a_width(pair: list[Path]) -> None:
     look = parse_look("font=serif, size=10, width=88mm")
     assert (look.font, look.size_pt, look.width_in) == ("serif", pytest.approx(10.0), pytest.approx(88 / 25.4))
-    assert parse_look("") == Look() == wanted()
+    assert parse_look("") == Look() == current_look()
     for text, said in (
         ("font=Serrif", "no font 'Serrif' is installed; did you mean \"serif\""),
         ("with=3mm", 'did you mean "width"'),

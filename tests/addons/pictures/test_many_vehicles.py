@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from fleet.addons.pictures import exchange, gallery, track
 from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.report import MOST_ROWS, _tables
-from fleet.addons.pictures.runs import Run, View, load
+from fleet.addons.pictures.runs import LoggedRun, View, load
 from fleet.logs.info import info_text, read_info
 
 N = 60
@@ -28,13 +28,13 @@ def directory(made: Alone) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(directory: Path) -> Run:
+def run(directory: Path) -> LoggedRun:
     (found,) = load([directory])
     return found
 
 
 @pytest.mark.parametrize("draw", [track.top, track.space])
-def test_tracks_name_the_worst_and_draw_the_others_together(run: Run, draw: object) -> None:
+def test_tracks_name_the_worst_and_draw_the_others_together(run: LoggedRun, draw: object) -> None:
     figure = draw([run], WHOLE)
     found = [str(gid) for artist in figure.findobj() if (gid := artist.get_gid())]
     assert sum(gid.startswith("vehicle-") for gid in found) == 3
@@ -43,7 +43,7 @@ def test_tracks_name_the_worst_and_draw_the_others_together(run: Run, draw: obje
     assert len(others._paths if draw is track.top else others._segments3d) == N - 3
 
 
-def test_the_oldest_links_have_a_row(run: Run) -> None:
+def test_the_oldest_links_have_a_row(run: LoggedRun) -> None:
     figure = exchange.ages([run], WHOLE)
     names = [label.get_text() for label in figure.axes[1].get_yticklabels()]
     assert len(names) == 36
@@ -51,14 +51,14 @@ def test_the_oldest_links_have_a_row(run: Run) -> None:
     assert figure.axes[1].get_ylabel() == f"link\nthe 36 oldest of {LINKS}"
 
 
-def test_links_without_a_loss_are_not_the_worst(run: Run) -> None:
+def test_links_without_a_loss_are_not_the_worst(run: LoggedRun) -> None:
     """At the end of a run something is in flight on every link."""
     figure = gallery.timeline([run], WHOLE)
     names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert names == [BAD.replace("->", "→"), f"{LINKS - 1} others"]
 
 
-def test_a_report_has_rows_of_the_worst(run: Run) -> None:
+def test_a_report_has_rows_of_the_worst(run: LoggedRun) -> None:
     ((_, vehicles), (_, links)) = _tables(run, {})
     errors = [float(row[2]) for row in vehicles.rows[:-1]]
     assert len(errors) == MOST_ROWS
@@ -77,7 +77,7 @@ def test_info_folds_topics_that_differ_by_numbers(directory: Path) -> None:
     assert re.search(rf"link/\*-\* \({LINKS} topics\)", text)
 
 
-def test_messages_are_those_about_the_worst_link(run: Run) -> None:
+def test_messages_are_those_about_the_worst_link(run: LoggedRun) -> None:
     figure = exchange.spacetime([run], WHOLE)
     names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert len(names) == 20

@@ -27,7 +27,7 @@ from fleet.addons.pictures.gallery import PER_RUN, WHAT, draw
 from fleet.addons.pictures.labels import labels_of
 from fleet.addons.pictures.report import _from_log, links_table, page
 from fleet.addons.pictures.report import write as write_report
-from fleet.addons.pictures.runs import Run, View, load, with_gaps
+from fleet.addons.pictures.runs import LoggedRun, View, load, with_gaps
 from fleet.addons.pictures.style import panels, plain_decades
 from fleet.addons.pictures.verbs.choice import KINDS, PARTS
 from fleet.errors import FleetError
@@ -67,7 +67,7 @@ def directories(made: Alone, tmp_path_factory: pytest.TempPathFactory) -> dict[s
 
 
 @pytest.fixture(scope="module")
-def runs(directories: dict[str, Path]) -> dict[str, Run]:
+def runs(directories: dict[str, Path]) -> dict[str, LoggedRun]:
     return {name: load([path])[0] for name, path in directories.items()}
 
 
@@ -78,7 +78,7 @@ LAW = ROOT / "docs" / "examples" / "leader_follower.yaml"  # a controller of a u
 DRAWN: dict[tuple[object, ...], dict[str, Figure | str]] = {}
 
 
-def pictures(run: Run | list[Run], what: list[str], view: View = ALL) -> dict[str, Figure | str]:
+def pictures(run: LoggedRun | list[LoggedRun], what: list[str], view: View = ALL) -> dict[str, Figure | str]:
     """What is drawn of some runs, once; nobody may change it."""
     runs = run if isinstance(run, list) else [run]
     key = *((one.label, one.log.path) for one in runs), *what, view
@@ -87,8 +87,8 @@ def pictures(run: Run | list[Run], what: list[str], view: View = ALL) -> dict[st
     return DRAWN[key]
 
 
-def figure_of(run: Run | list[Run], what: str, name: str, view: View = ALL) -> Figure:
-    all_of_it = what in WHAT and isinstance(run, Run) and run.label in ("faulty", "one", "mixed") and view == ALL
+def figure_of(run: LoggedRun | list[LoggedRun], what: str, name: str, view: View = ALL) -> Figure:
+    all_of_it = what in WHAT and isinstance(run, LoggedRun) and run.label in ("faulty", "one", "mixed") and view == ALL
     figure = pictures(run, list(WHAT) if all_of_it else [what], view)[name]
     assert isinstance(figure, Figure), figure
     return figure
@@ -104,7 +104,7 @@ RUNS = ("faulty", "one", "ideal", "acoustic", "twenty", "mixed")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "twenty" else []) for name in RUNS]
 )
-def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
+def test_every_picture_of_every_run(name: str, runs: dict[str, LoggedRun]) -> None:
     """Drawn, or a sentence; every axis has a unit; no text is cut off by the picture's edge, and no box covers data."""
     for picture, figure in pictures(runs[name], list(WHAT)).items():
         if isinstance(figure, str):
@@ -123,7 +123,7 @@ def test_every_picture_of_every_run(name: str, runs: dict[str, Run]) -> None:
             assert box.x0 > -0.05 and box.y0 > -0.05 and box.x1 < width + 0.05 and box.y1 < height + 0.05, picture
 
 
-def test_faults_are_shaded_and_named_on_every_time_axis(runs: dict[str, Run]) -> None:
+def test_faults_are_shaded_and_named_on_every_time_axis(runs: dict[str, LoggedRun]) -> None:
     for name, figure in pictures(runs["faulty"], list(WHAT)).items():
         if name in ("track", "track-3d", "messages"):  # messages are those of a part of the time
             continue
@@ -139,7 +139,7 @@ def test_faults_are_shaded_and_named_on_every_time_axis(runs: dict[str, Run]) ->
         assert timed[-1].get_xlabel() == "time [s]" and caption_of(figure).startswith("tumbled 2: at ")
 
 
-def test_a_line_per_vehicle_that_breaks_where_the_agent_is_dead(runs: dict[str, Run]) -> None:
+def test_a_line_per_vehicle_that_breaks_where_the_agent_is_dead(runs: dict[str, LoggedRun]) -> None:
     figure = figure_of(runs["faulty"], "inputs", "inputs")
     # A row for each vehicle: in one axis their lines hid each other.
     assert [line.get_gid() for ax in figure.axes for line in lines(ax, r"faulty-vehicle-\d+")] == [
@@ -156,7 +156,7 @@ def test_a_line_per_vehicle_that_breaks_where_the_agent_is_dead(runs: dict[str, 
     assert [line.get_ydata()[0] for line in lines(figure.axes[0], "bound")] == [-20.0, 20.0]
 
 
-def test_heavy_where_a_command_is_at_its_limit(runs: dict[str, Run]) -> None:
+def test_heavy_where_a_command_is_at_its_limit(runs: dict[str, LoggedRun]) -> None:
     figure = figure_of(runs["faulty"], "inputs", "inputs")
     drawn = [line for ax in figure.axes for line in lines(ax, ".*-saturated")]
     assert drawn
@@ -164,7 +164,7 @@ def test_heavy_where_a_command_is_at_its_limit(runs: dict[str, Run]) -> None:
     assert "heavy: the command is at a limit" in caption_of(figure)
 
 
-def test_logarithmic_errors(runs: dict[str, Run]) -> None:
+def test_logarithmic_errors(runs: dict[str, LoggedRun]) -> None:
     """Errors unless asked otherwise, other signals and ages only where asked."""
     for asked, scales in ((None, ["log", "log", "linear"]), (True, ["log"] * 3), (False, ["linear"] * 3)):
         drawn = pictures(runs["faulty"], ["error", "ages"] if asked is not None else list(WHAT), View(log_scale=asked))
@@ -172,7 +172,7 @@ def test_logarithmic_errors(runs: dict[str, Run]) -> None:
 
 
 @pytest.mark.parametrize("kind", ["error", "inputs"])
-def test_twenty_vehicles_are_a_band_and_three_names(kind: str, runs: dict[str, Run]) -> None:
+def test_twenty_vehicles_are_a_band_and_three_names(kind: str, runs: dict[str, LoggedRun]) -> None:
     for figure in pictures(runs["twenty"], [kind]).values():
         for ax in figure.axes:
             assert len(lines(ax, r"twenty-vehicle-\d+")) == 3
@@ -206,7 +206,7 @@ def test_two_runs_on_one_axis(directories: dict[str, Path]) -> None:
     assert len({run.label for run in same}) == 2
 
 
-def test_what_is_missing_is_said(runs: dict[str, Run]) -> None:
+def test_what_is_missing_is_said(runs: dict[str, LoggedRun]) -> None:
     """A controller that reports other signals, a log without links, one that was cut, one that is not ours."""
     figure = figure_of(runs["mixed"], "guidance.K", "guidance.K")
     assert "not reported by UUV 3" in caption_of(figure)
@@ -217,7 +217,7 @@ def test_what_is_missing_is_said(runs: dict[str, Run]) -> None:
     assert pictures(runs["one"], ["links"])["links"] == "the log has no links"
     cut = figure_of(runs["cut"], "error", "error")
     assert f"the log is not whole, it ends at {runs['cut'].log.end:g} s" in caption_of(cut)
-    foreign = Run(fleet.open_log(runs["faulty"].log.path, ["uuv/*/state"]), "x")
+    foreign = LoggedRun(fleet.open_log(runs["faulty"].log.path, ["uuv/*/state"]), "x")
     foreign.log.run = {}
     foreign.log.scenario_text = ""
     found = pictures(foreign, ["ages", "inputs", "track"])
@@ -233,7 +233,7 @@ def test_gaps() -> None:
     assert not np.isnan(t).any()
 
 
-def test_track_has_east_to_the_right_and_north_up(runs: dict[str, Run]) -> None:
+def test_track_has_east_to_the_right_and_north_up(runs: dict[str, LoggedRun]) -> None:
     figure = figure_of(runs["faulty"], "track", "track")
     (ax,) = figure.axes
     state = runs["faulty"].log["uuv/1/state"]
@@ -288,7 +288,7 @@ def test_every_fate_has_a_mark_of_its_own() -> None:
         assert red > blue or fate == Cause.REPLACED
 
 
-def test_messages_in_space_and_time(runs: dict[str, Run]) -> None:
+def test_messages_in_space_and_time(runs: dict[str, LoggedRun]) -> None:
     (ax,) = figure_of(runs["faulty"], "messages", "messages", View(window=(0.8, 1.4))).axes
     assert ax.get_xlim() == (0.8, 1.4)
     assert [label.get_text() for label in ax.get_yticklabels()] == ["UUV 1", "UUV 2", "UUV 3", "UUV 4"]
@@ -302,7 +302,7 @@ def test_messages_in_space_and_time(runs: dict[str, Run]) -> None:
 
 
 @pytest.mark.parametrize("name", ["faulty", "acoustic", "twenty"])
-def test_ages_are_those_of_the_result(name: str, runs: dict[str, Run], directories: dict[str, Path]) -> None:
+def test_ages_are_those_of_the_result(name: str, runs: dict[str, LoggedRun], directories: dict[str, Path]) -> None:
     """An oracle: `netem.ages` counts them in closed form while the run goes on."""
     run = runs[name]
     result = json.loads((directories[name] / "result.json").read_text())["ages"]
@@ -315,7 +315,7 @@ def test_ages_are_those_of_the_result(name: str, runs: dict[str, Run], directori
 
 
 @pytest.mark.parametrize("width", [1, 3, 7, 50])
-def test_the_mean_age_of_an_interval_is_that_of_its_ticks(width: int, runs: dict[str, Run]) -> None:
+def test_the_mean_age_of_an_interval_is_that_of_its_ticks(width: int, runs: dict[str, LoggedRun]) -> None:
     run = runs["faulty"]
     ticks = min(round(run.log.end / run.tick_s) + 1, int(run.log.run["ticks"])) // width * width
     edges = (np.arange(ticks + 1) - 0.5) * run.tick_s
@@ -326,14 +326,16 @@ def test_the_mean_age_of_an_interval_is_that_of_its_ticks(width: int, runs: dict
 
 
 @pytest.mark.parametrize("window", [(0.5, 0.9), (0.3, 1.0), (1.0, 3.0)])
-def test_no_interval_of_the_ages_is_shorter_than_a_tick(window: tuple[float, float], runs: dict[str, Run]) -> None:
+def test_no_interval_of_the_ages_is_shorter_than_a_tick(
+    window: tuple[float, float], runs: dict[str, LoggedRun]
+) -> None:
     """Such an interval held no tick, and was white: moored vehicles have ticks of 100 ms."""
     figure = figure_of(runs["moored"], "ages", "ages", View(window=window))
     mesh = figure.axes[1].collections[0].get_array()
     assert mesh.size and not np.ma.getmaskarray(mesh).any()
 
 
-def test_the_ages_say_what_is_drawn(runs: dict[str, Run]) -> None:
+def test_the_ages_say_what_is_drawn(runs: dict[str, LoggedRun]) -> None:
     figure = figure_of(runs["faulty"], "ages", "ages")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["oldest link, peaks", "median link, means"]
@@ -341,7 +343,7 @@ def test_the_ages_say_what_is_drawn(runs: dict[str, Run]) -> None:
     assert figure.axes[-1].get_ylabel() == "age [s], peaks"
 
 
-def test_moored_vehicles_have_pictures_of_what_their_agents_do(runs: dict[str, Run]) -> None:
+def test_moored_vehicles_have_pictures_of_what_their_agents_do(runs: dict[str, LoggedRun]) -> None:
     drawn = pictures(runs["moored"], list(WHAT))
     assert list(drawn)[:3] == ["links", "messages", "ages"]
     assert all(name.startswith("control.") for name in list(drawn)[3:]) and "control.leads" in drawn
@@ -357,7 +359,7 @@ def test_runs_that_are_compared_have_short_names_that_are_never_cut_off(director
     other = load([faulty])[0]
     other.log.run["seed"] = "77"
     assert labels_of([same[0].log, other.log]) == [f"faulty, seed {seed}", "faulty, seed 77"]
-    shown = [Run(same[0].log, "a long name of a run-20261128-061251"), load([directories["one"]])[0]]
+    shown = [LoggedRun(same[0].log, "a long name of a run-20261128-061251"), load([directories["one"]])[0]]
     (ax,) = figure_of(shown, "formation", "formation").axes
     names = [text.get_text() for text in ax.texts if text.get_gid() == "fault-name"]
     assert names and all(name.endswith("-061251)") and len(name) <= 34 for name in names)
@@ -365,7 +367,7 @@ def test_runs_that_are_compared_have_short_names_that_are_never_cut_off(director
         assert ax.get_title(loc="left") == run.label
 
 
-def test_ledger_from_the_log_is_that_of_the_result(runs: dict[str, Run], directories: dict[str, Path]) -> None:
+def test_ledger_from_the_log_is_that_of_the_result(runs: dict[str, LoggedRun], directories: dict[str, Path]) -> None:
     result = read_result(directories["faulty"])
     ledger, ages = _from_log(runs["faulty"])
     assert ages == result.ages
@@ -379,7 +381,7 @@ def test_what_can_be_asked_for_is_what_there_is() -> None:
     assert set(WHAT) >= PER_RUN
 
 
-def test_a_single_picture_can_be_asked_for_and_none_is_drawn_twice(runs: dict[str, Run]) -> None:
+def test_a_single_picture_can_be_asked_for_and_none_is_drawn_twice(runs: dict[str, LoggedRun]) -> None:
     assert list(pictures(runs["one"], ["track-3d"])) == ["track-3d"]
     drawn = [name for name, _, _ in draw(["formation", "error", "error"], [runs["one"]], ALL)]
     assert drawn == ["formation", "error"]

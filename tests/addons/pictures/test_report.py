@@ -10,8 +10,9 @@ from html_page import words_of
 from in_process_runs import Alone
 from tool import invoke
 
-from fleet.addons.pictures.report import network_facts, page
+from fleet.addons.pictures.report import page
 from fleet.addons.pictures.runs import View, load
+from fleet.addons.pictures.scenario_facts import network_facts
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
 from fleet.scenario.loading import load_scenario

@@ -8,22 +8,22 @@ from in_process_runs import Alone
 from matplotlib.colors import to_hex
 
 from fleet.addons.pictures.exchange import FATES
-from fleet.addons.pictures.packet_shares import LATE, MOST_ROWS, Row, fold, strips, time_bins, timeline
-from fleet.addons.pictures.runs import Run, View, load
+from fleet.addons.pictures.packet_shares import LATE, MOST_ROWS, ShareRow, fold, strips, time_bins, timeline
+from fleet.addons.pictures.runs import LoggedRun, View, load
 from netem.cause import Cause
 
 BEGIN_S, END_S = 2.53, 3.17  # of the partition: no edge of an even bin
 
 
 @pytest.fixture(scope="module")
-def run(made: Alone) -> Run:
+def run(made: Alone) -> LoggedRun:
     """Links with 30 % loss and jitter, and a partition."""
     faults = f"faults=[{{at: {BEGIN_S} s, for: {END_S - BEGIN_S:.2f} s, partition: halves}}]"
     changes = ["checks={}", "duration=6 s", faults, "network.links={'*': delay 150ms 100ms loss 30%}"]
     return load([made("paper", *changes).directory])[0]
 
 
-def test_shares_are_those_of_the_log(run: Run) -> None:
+def test_shares_are_those_of_the_log(run: LoggedRun) -> None:
     """30 % loss is a third of a strip, not all of it, and a partition begins and ends at its own time."""
     (ax,) = timeline([run], View()).axes
     drawn = {str(found.get_gid()).removeprefix("fate-"): found for found in ax.collections}
@@ -60,7 +60,7 @@ def test_bins_end_where_a_fault_begins() -> None:
 def test_polygons_of_known_bins() -> None:
     """Shares stand upon one another; a bin without packets is left out."""
     edges = np.array([0.0, 1.0, 2.0, 4.0])
-    row = Row("1→2", {Cause.DELIVERED: np.array([7, 1, 0]), Cause.LOSS: np.array([3, 0, 0])})
+    row = ShareRow("1→2", {Cause.DELIVERED: np.array([7, 1, 0]), Cause.LOSS: np.array([3, 0, 0])})
     found = strips([row], [Cause.DELIVERED, Cause.LOSS], edges)
     assert found[Cause.DELIVERED][0][:6, 0].tolist() == [0.0, 1.0, 1.0, 2.0, 2.0, 4.0]
     assert found[Cause.DELIVERED][0][6:, 1].tolist() == pytest.approx([0.4, 0.4, -0.4, -0.4, -0.16, -0.16])
@@ -69,15 +69,15 @@ def test_polygons_of_known_bins() -> None:
 
 
 def test_many_links_are_folded_to_the_worst() -> None:
-    rows = [Row(f"{n}", {Cause.DELIVERED: np.array([100 - n]), Cause.LOSS: np.array([n])}) for n in range(80)]
+    rows = [ShareRow(f"{n}", {Cause.DELIVERED: np.array([100 - n]), Cause.LOSS: np.array([n])}) for n in range(80)]
     found = fold(rows)
     assert [row.name for row in found] == [*(str(n) for n in range(79, 67, -1)), "68 others"]
     assert sum(row.total for row in found) == 8000
     assert fold(rows[:MOST_ROWS]) == rows[:MOST_ROWS]
-    whole = [Row(f"{n}", {Cause.DELIVERED: np.array([5])}) for n in range(40)]
+    whole = [ShareRow(f"{n}", {Cause.DELIVERED: np.array([5])}) for n in range(40)]
     assert [row.name for row in fold(whole)] == ["all 40"]
 
 
-def test_only_links_between_the_vehicles_asked_for(run: Run) -> None:
+def test_only_links_between_the_vehicles_asked_for(run: LoggedRun) -> None:
     (ax,) = timeline([run], View(vehicles=(1, 2))).axes
     assert [label.get_text() for label in ax.get_yticklabels()] == ["1→2", "2→1"]

@@ -13,7 +13,7 @@ from small_scenario import small
 from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.gallery import WHAT, draw
 from fleet.addons.pictures.report import telling
-from fleet.addons.pictures.runs import Run, View, load
+from fleet.addons.pictures.runs import LoggedRun, View, load
 from fleet.addons.pictures.style import panels
 from fleet.addons.pictures.thresholds import Threshold, draw_thresholds
 from fleet.execution.execute import execute
@@ -29,14 +29,14 @@ CHECKS = (
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(tmp_path_factory: pytest.TempPathFactory) -> LoggedRun:
     checks = f"checks={{signal: [{', '.join(CHECKS)}], formation_error: {{below: 1 mm}}}}"
     options = Options(tmp_path_factory.mktemp("runs"), in_process=True, quiet=True)
     directory: Path = execute(small(checks), options).directory
     return load([directory])[0]
 
 
-def drawn(run: Run, what: list[str], view: View | None = None) -> dict[str, Figure]:
+def drawn(run: LoggedRun, what: list[str], view: View | None = None) -> dict[str, Figure]:
     return {name: found for name, _, found in draw(what, [run], view or View()) if isinstance(found, Figure)}
 
 
@@ -57,7 +57,7 @@ def crosses(ax: Axes) -> dict[str, set[tuple[float, float]]]:
 
 
 @pytest.mark.parametrize("name", ["formation", "error.formation_norm", "|error.formation|"])
-def test_a_check_of_the_formation_error_has_a_limit_and_a_cross(name: str, run: Run) -> None:
+def test_a_check_of_the_formation_error_has_a_limit_and_a_cross(name: str, run: LoggedRun) -> None:
     """A check of its own or one of the signal, and whatever the signal is called."""
     (figure,) = drawn(run, [name]).values()
     (ax,) = figure.axes
@@ -70,7 +70,7 @@ def test_a_check_of_the_formation_error_has_a_limit_and_a_cross(name: str, run: 
         assert all(value == pytest.approx(np.interp(at, error.t, error.formation_norm)) for at, value in places)
 
 
-def test_a_norm_is_the_signal_that_the_log_has(run: Run) -> None:
+def test_a_norm_is_the_signal_that_the_log_has(run: LoggedRun) -> None:
     """A check of `|error.e|` is one of `error.e_norm`, which has a picture of its own."""
     for name in ("error", "|error.e|", "error.e_norm"):
         (ax,) = drawn(run, [name])[{"|error.e|": "norm-error.e"}.get(name, name)].axes
@@ -78,23 +78,23 @@ def test_a_norm_is_the_signal_that_the_log_has(run: Run) -> None:
     assert not crosses(drawn(run, ["error"], View(vehicles=(1,)))["error"].axes[0])  # of a vehicle that is not shown
 
 
-def test_the_ages_have_the_limit_of_their_check(run: Run) -> None:
+def test_the_ages_have_the_limit_of_their_check(run: LoggedRun) -> None:
     other = small("checks={max_age: {below: 80 ms, after: 300 ms, links: '1<->2'}}")
-    judged = Run(run.log, "other")
+    judged = LoggedRun(run.log, "other")
     judged.__dict__["scenario"] = other
     figure = drawn(judged, ["checks"])["ages"]
     assert asked(figure.axes[0]) == {0.08: (0.3, 1.0)}
     assert "check: below 0.08 s from 0.3 s, links 1<->2" in [text.get_text() for text in figure.axes[0].texts]
 
 
-def test_checks_are_pictures_of_errors_too(run: Run) -> None:
+def test_checks_are_pictures_of_errors_too(run: LoggedRun) -> None:
     assert list(drawn(run, ["checks"])) == ["error", "formation", "state.z"]
     everything = list(drawn(run, [*WHAT]))
     assert len(everything) == len(set(everything)) and {"error", "formation", "state.z"} <= {*everything}
     assert list(dict.fromkeys(telling(run)))[:2] == ["formation", "error"]
 
 
-def test_a_condition_that_has_to_come_true_is_drawn_while_it_may(run: Run) -> None:
+def test_a_condition_that_has_to_come_true_is_drawn_while_it_may(run: LoggedRun) -> None:
     """A limit of vehicles together is no line, and one that is far from all of them leaves no room for them."""
     figure = drawn(run, ["state.z"])["state.z"]
     (ax,) = figure.axes

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from fleet.addons.pictures import time_series
-from fleet.addons.pictures.runs import Run, View, load
+from fleet.addons.pictures.runs import LoggedRun, View, load
 from fleet.addons.pictures.style import panels
 from fleet.addons.pictures.thresholds import Threshold, draw_thresholds, thresholds
 from tests.support.intervals import interval
@@ -23,7 +23,7 @@ CHECKS = (
 
 
 @pytest.fixture(scope="module")
-def run(made: Alone) -> Run:
+def run(made: Alone) -> LoggedRun:
     return load([made("paper", "duration=5 s", "faults=[{at: 1 s, for: 1 s, id: crash, kill: 2}]", CHECKS).directory])[
         0
     ]
@@ -33,7 +33,7 @@ def lines(ax: Axes, gid: str) -> list[Any]:
     return [line for line in ax.get_lines() if str(line.get_gid() or "").startswith(gid)]
 
 
-def test_the_checks_of_an_error_are_drawn_where_they_hold(run: Run) -> None:
+def test_the_checks_of_an_error_are_drawn_where_they_hold(run: LoggedRun) -> None:
     (ax,) = time_series.formation([run], View()).axes
     drawn = {(*line.get_xdata(), line.get_ydata()[0]) for line in lines(ax, "check")}
     assert drawn == {(4.0, 5.0, 0.1), (3.0, 5.0, 0.5)}
@@ -44,7 +44,7 @@ def test_the_checks_of_an_error_are_drawn_where_they_hold(run: Run) -> None:
     assert len(thresholds([run, run], "formation")) == 2  # each once
 
 
-def test_limits_are_those_of_the_window(run: Run) -> None:
+def test_limits_are_those_of_the_window(run: LoggedRun) -> None:
     """What happened before is not on the axis."""
     for log in (None, False):
         (ax,) = time_series.formation([run], View(log_scale=log, window=(1.5, 2.5))).axes
@@ -57,7 +57,7 @@ def test_limits_are_those_of_the_window(run: Run) -> None:
         assert len(line.get_ydata()) <= inside.sum() + 2
 
 
-def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
+def test_no_line_of_an_input_reaches_beyond_its_limit(run: LoggedRun) -> None:
     """Not even with its width: beyond the limit every pixel is without colour."""
     figure = time_series.inputs([run], View())
     figure.set_dpi(300)
@@ -84,9 +84,9 @@ def test_no_line_of_an_input_reaches_beyond_its_limit(run: Run) -> None:
         assert ax in figure.axes[3:] or coloured(int(limit) - 6, int(limit))
 
 
-def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
+def test_every_recovery_has_a_line_until_the_next_fault(run: LoggedRun) -> None:
     text = run.log.scenario_text.replace("fault: crash", "fault: every")
-    other = Run(run.log, "other")
+    other = LoggedRun(run.log, "other")
     other.log.__dict__.pop("scenario", None)
     other.log.__dict__["_intervals"] = [
         interval("a", 0.5, 1.0, "kill 1"),
@@ -102,13 +102,13 @@ def test_every_recovery_has_a_line_until_the_next_fault(run: Run) -> None:
             other.log.__dict__.pop(name, None)
 
 
-def test_an_input_beyond_the_limit_is_shown(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_input_beyond_the_limit_is_shown(run: LoggedRun, monkeypatch: pytest.MonkeyPatch) -> None:
     """A line is cut off at a limit that it keeps, and not at one that it does not."""
-    strong = Run(run.log, "strong")
+    strong = LoggedRun(run.log, "strong")
     found = run.series(1, "command", "applied")
     series = strong.series
     monkeypatch.setattr(
-        Run, "series",
+        LoggedRun, "series",
         lambda self, i, group, name: (
             (found[0], 1.5 * found[1]) if (self is strong and (i, name) == (1, "applied")) else series(i, group, name)
         ),

@@ -21,7 +21,7 @@ from fleet.addons.studies.engine import local_engine
 from fleet.addons.studies.modules import modules_of
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import PartRow, Row
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.scenario.loading import load_scenario
 
 pytest_plugins = ["pytester"]
@@ -79,7 +79,7 @@ def test_a_run_of_programs_can_go_on_from_a_moment_in_many_ways() -> None:
         assert row.part is not None
         return row.part
 
-    whole = next(verdict for verdict in judged(scenario).checks if verdict.check == "max_age")
+    whole = next(verdict for verdict in run_loaded(scenario).checks if verdict.check == "max_age")
     first = part(0)
     assert whole.margin is not None and first.best == whole.margin.value
     margin, tick = first.places[1]

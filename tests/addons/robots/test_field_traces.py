@@ -14,7 +14,7 @@ from tool import invoke
 
 from fleet.addons.robots.field_traces import FieldSelection, RecordedMessage, trace_of, write_field_traces
 from fleet.addons.robots.link_fit import fit
-from fleet.addons.robots.ros2.rmw import Attachment, pack
+from fleet.addons.robots.ros2.rmw import RmwAttachment, pack
 from fleet.errors import FleetError
 from fleet.mcap.writer import McapWriter
 from fleet.replay.capture import TrafficWriter
@@ -58,7 +58,7 @@ def through(scenario: Scenario, count: int, every_ns: int) -> Iterator[tuple[int
     for n in range(count):
         at_ns = n * every_ns
         relay.take(RobotMessage(1, PUT, KEY, b'{"seq": %d}' % n, at_ns))
-        for due in relay.handed(at_ns):
+        for due in relay.due_messages(at_ns):
             yield due.due_ns, sample(due.payload, WALL_NS + due.message.at_ns)
 
 
@@ -123,7 +123,7 @@ def flags(table: TraceTable) -> str:
 
 def test_each_publisher_of_ros_counts_on_its_own_and_says_when_it_sent(tmp_path: Path) -> None:
     samples = [
-        (n * 10**8 + 5_000_000, sample(b"x", None, pack(Attachment(n, WALL_NS + n * 10**8, bytes([who] * 16)))))
+        (n * 10**8 + 5_000_000, sample(b"x", None, pack(RmwAttachment(n, WALL_NS + n * 10**8, bytes([who] * 16)))))
         for n in range(1, 7)
         for who in (1, 2)
         if (n, who) not in ((2, 1), (4, 2), (5, 2))

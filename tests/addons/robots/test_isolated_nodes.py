@@ -71,7 +71,7 @@ def stack(**sections: Any) -> str:
 def test_tcp_and_multicast_pass_the_network_and_nothing_else(loss: int, hears: bool, tmp_path: Path) -> None:
     """Two programs of DDS heard 34 messages of each other behind links that lose everything."""
     try:
-        namespaces.made(1).close()
+        namespaces.make_namespace(1).close()
     except BusError as error:
         pytest.skip(str(error))
     (tmp_path / "talks.py").write_text(TALKS)

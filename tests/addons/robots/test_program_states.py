@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from known_programs import Known
 
-from fleet.addons.robots.programs import Ended
+from fleet.addons.robots.programs import ProgramChange
 from fleet.addons.robots.relay_run import RelayRun
 from fleet.errors import RunBroken
 from netem.relay_messages import Watched, WatchedMessage
@@ -29,10 +29,10 @@ def one(folder: Path, **sections: Any) -> Known:
     return found
 
 
-def lives(found: Known) -> list[Ended]:
+def lives(found: Known) -> list[ProgramChange]:
     """The lives that have ended and begun since this was asked last, as frames have them."""
-    told = [*found.said]
-    found.said.clear()
+    told = [*found.changes]
+    found.changes.clear()
     return told
 
 
@@ -91,14 +91,14 @@ def test_a_program_that_has_done_its_work_is_not_gone(tmp_path: Path) -> None:
         found.say(3000, ended=name, code=code, tail=["last words"])
     found.advance(3000)
     assert (words(found.values(1)), words(found.values(2)), found.gone) == ("7 0 -", "", [2])
-    assert lives(found) == [Ended(3000, 2)]
+    assert lives(found) == [ProgramChange(3000, 2)]
     verdict = found.verdict()
     assert verdict is not None and verdict.failed
     assert verdict.found == 'm2 exited with status 3 at 0.00 s: "last words"'
     assert found.deaths() == {2: ["m2 exited with status 3 at 0.00 s", "last words"]}
     found.say(4000, started="m2", pid=6)  # the operator heals it
     found.advance(4000)
-    assert lives(found) == [Ended(4000, 2, begins=True)]
+    assert lives(found) == [ProgramChange(4000, 2, begins=True)]
 
 
 def test_of_a_program_that_ends_a_few_lines_are_shown(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from marks import slow
 
 from fleet.addons.studies.bare_run import bare_verdicts, fits
 from fleet.addons.studies.one_run import Task, make_run
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
 
@@ -45,7 +45,7 @@ def test_verdicts_are_those_of_the_emulator(seed: int, changes: tuple[str, ...])
     """In every word and number, of runs that fail, too."""
     scenario = moored(f"seed={seed}", *changes)
     assert fits(scenario)
-    own = [verdict for verdict in judged(scenario).checks if verdict.check not in ("tumbled", "deaths")]
+    own = [verdict for verdict in run_loaded(scenario).checks if verdict.check not in ("tumbled", "deaths")]
     bare = bare_verdicts(scenario)
     assert bare == own
 

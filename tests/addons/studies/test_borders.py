@@ -65,7 +65,7 @@ def found(name: str, engine: Here, **how: Any) -> Borders:
 
 def test_borders_are_found_with_few_runs() -> None:
     borders = found("a", Drawn(breaks_at_40), seeds=60)
-    first, second = borders.found()
+    first, second = borders.estimates()
     assert first.values == {"delay": 100.0}
     assert first.low < 40.0 < first.high
     assert second.low < 10.0 < second.high
@@ -89,7 +89,7 @@ def test_the_border_of_one_check_is_that_of_its_own_pass_rate() -> None:
     plan = Plan("small.yaml", (Override(NET, "* delay 100 ms loss {loss}"),), axes, seeds=tuple(range(1, 41)))
     store, _ = prepare_borders(plan, BoundarySpec(check="deaths"), Path("live"))
     find_borders(Borders(store), Live(breaks_at_40), quiet)
-    (border,) = Borders(Store.open(store.directory)).found()
+    (border,) = Borders(Store.open(store.directory)).estimates()
     assert border.low < 40.0 < border.high
     assert "the pass rate of deaths falls" in Borders(store).title
     with pytest.raises(StudyError, match='no check "death"; did you mean "deaths"'):
@@ -101,15 +101,15 @@ def test_rows_do_not_depend_on_order_and_interruptions() -> None:
     borders = prepared("b")
     with pytest.raises(KeyboardInterrupt):
         find_borders(borders, Drawn(breaks_at_40, backwards=True, most=21), quiet)
-    assert len(borders.store.done()) == 21
+    assert len(borders.store.finished_runs()) == 21
     rest = Drawn(breaks_at_40, backwards=True)
     find_borders(Borders(borders.store), rest, quiet)
     assert_frame_equal(whole.frame(), borders.store.frame(), check_exact=True)
-    assert len(rest.tasks) == len(whole.done()) - 21  # nothing is made twice
+    assert len(rest.tasks) == len(whole.finished_runs()) - 21  # nothing is made twice
 
 
 def test_a_border_outside_says_so_with_the_bound_that_can_be_claimed() -> None:
-    above, below = found("a", Drawn(lambda text, _: "delay 100" in text)).found()
+    above, below = found("a", Drawn(lambda text, _: "delay 100" in text)).estimates()
     assert (above.where, above.value, above.low, above.high) == ("above", inf, inf, inf)
     assert (below.where, below.value, below.low, below.high) == ("below", -inf, -inf, -inf)
     assert above.runs == below.runs == 8
@@ -119,12 +119,12 @@ def test_a_border_outside_says_so_with_the_bound_that_can_be_claimed() -> None:
 
 
 def test_what_rises_is_told() -> None:
-    first, _ = found("a", Drawn(lambda text, seed: loss_of(text) > 50.0 or seed > 999)).found()
+    first, _ = found("a", Drawn(lambda text, seed: loss_of(text) > 50.0 or seed > 999)).estimates()
     assert first.rising[0] <= 50.0 < first.rising[1]
 
 
 def test_runs_without_a_result_use_their_seeds() -> None:
-    first, _ = found("a", Drawn(lambda *_: None), seeds=6).found()
+    first, _ = found("a", Drawn(lambda *_: None), seeds=6).estimates()
     assert (first.runs, first.failed, first.where) == (0, 6, "open")
     assert isnan(first.first.value)
 
@@ -140,7 +140,7 @@ def test_equal_ratios_are_equally_far_apart() -> None:
     store, _ = prepare_borders(plan, BoundarySpec(), Path("a"))
     borders = Borders(store)
     find_borders(borders, Drawn(breaks), quiet)
-    (only,) = borders.found()
+    (only,) = borders.estimates()
     assert 70.0 < only.low < 100.0 < only.high < 140.0
     assert only.high / only.low < 1.6  # a tenth of two decades
 
@@ -195,7 +195,7 @@ def test_what_no_border_needs_is_not_missing() -> None:
     state = load(store).state
     assert Study(store).missing == 0
     assert (state == NOT_MADE).sum() == 0
-    assert (state == MADE).sum() == len(store.done())
+    assert (state == MADE).sum() == len(store.finished_runs())
 
 
 @pytest.mark.parametrize("record", [BorderRecord(level=7.0, log=False), BorderRecord(log=True)])

@@ -20,7 +20,8 @@ from small_scenario import SMALL, small
 from tool import invoke
 from waiting import wait_for
 
-from fleet.addons.studies.engine import LOST, DaskEngine, check_versions, dask_engine, need_extra, versions
+from fleet.addons.studies.dask_engine import DaskEngine, check_versions, dask_engine, versions
+from fleet.addons.studies.engine_interface import LOST, require_extra
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import modules_of
 from fleet.addons.studies.one_run import Task
@@ -128,15 +129,15 @@ def test_laws_travel_and_a_worker_of_a_cluster_that_is_killed_costs_no_run(
 
 
 def test_no_scheduler_and_no_extra_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fleet.addons.studies.engine._CONNECT_S", 0.3)
+    monkeypatch.setattr("fleet.addons.studies.dask_engine._CONNECT_S", 0.3)
     with pytest.raises(StudyError, match="no Dask scheduler answers at tcp://127"), dask_engine("tcp://127.0.0.1:1"):
         pass
     with pytest.raises(StudyError, match="needs certificates: set DASK_"), dask_engine("tls://127.0.0.1:1"):
         pass
-    monkeypatch.setattr("fleet.addons.studies.engine.NEEDED", ("pandas", "no_such_library"))
+    monkeypatch.setattr("fleet.addons.studies.engine_interface.NEEDED", ("pandas", "no_such_library"))
     with pytest.raises(StudyError, match=r"studies need no_such_library: pip install 'uuv-fleet\[study\]'"):
-        need_extra()
-    monkeypatch.setattr("fleet.addons.studies.engine._OF_CLUSTERS", ("no_such_library",))
+        require_extra()
+    monkeypatch.setattr("fleet.addons.studies.dask_engine._OF_CLUSTERS", ("no_such_library",))
     with pytest.raises(StudyError, match=r"a cluster needs no_such_library: .*\[cluster\]'"), dask_engine("tcp://x:1"):
         pass
 
@@ -194,7 +195,7 @@ def test_only_a_run_that_was_alone_with_its_worker_is_blamed(monkeypatch: pytest
             future.error = KilledWorker()
         return ended
 
-    monkeypatch.setattr("fleet.addons.studies.engine._finished", finished)
+    monkeypatch.setattr("fleet.addons.studies.dask_engine._wait_for_finished", finished)
     client: Any = SimpleNamespace(submit=submit)
     keys = ["deadly-1", "good-1", "good-2", "good-3", "deadly-2", "good-4", "good-5"]
     rows: list[Row] = []

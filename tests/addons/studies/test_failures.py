@@ -14,10 +14,11 @@ from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.failures import INDEX, FailureFolder, FoundFailure, Regression, make_least
 from fleet.addons.studies.modules import NO_MODULES
 from fleet.addons.studies.one_run import Task
-from fleet.addons.studies.rare import RareEvent, Splitting
+from fleet.addons.studies.rare import RareEvent
 from fleet.addons.studies.record import NAME, read_record
 from fleet.addons.studies.search import SearchResult, search
-from fleet.execution.whole_run import judged, run
+from fleet.addons.studies.splitting import Splitting
+from fleet.execution.whole_run import run, run_loaded
 from fleet.scenario.loading import parse_scenario
 
 NEMESIS = "nemesis={every: 400 ms, for: 300 ms, pick: [mute, deaf, {wrench: {vehicles: 1, force: 400 0 0 N}}]}"
@@ -47,7 +48,8 @@ class Interrupted(Here):
 
 def test_a_search_goes_on_after_a_failure_and_after_an_interruption(tmp_path: Path) -> None:
     seeds = {
-        n: [v.check for v in judged(small(NEMESIS, CHECKS, f"seed={n}")).checks if not v.passed] for n in range(1, 9)
+        n: [v.check for v in run_loaded(small(NEMESIS, CHECKS, f"seed={n}")).checks if not v.passed]
+        for n in range(1, 9)
     }
     kinds = {
         check: min(n for n in seeds if check in seeds[n]) for check in sorted({c for cs in seeds.values() for c in cs})

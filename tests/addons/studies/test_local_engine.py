@@ -18,7 +18,8 @@ from failing_laws import failing, with_law
 from marks import slow
 from small_scenario import small
 
-from fleet.addons.studies.engine import LOST, LocalEngine, local_engine
+from fleet.addons.studies.engine import LocalEngine, local_engine
+from fleet.addons.studies.engine_interface import LOST
 from fleet.addons.studies.modules import modules_of
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import FAILED

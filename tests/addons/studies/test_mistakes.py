@@ -13,9 +13,9 @@ from small_scenario import small
 import fleet
 from fleet.addons.studies.borders import parse_along
 from fleet.addons.studies.failures import INDEX, FailureFolder, Regression
-from fleet.addons.studies.measures import find_columns, signal_columns_of
-from fleet.addons.studies.option_values import set_values, varied
+from fleet.addons.studies.option_values import set_values, varied_values
 from fleet.addons.studies.plan import Plan, parse_seeds
+from fleet.addons.studies.signal_measures import find_columns, signal_columns_of
 from fleet.addons.studies.stopping import check_until
 from fleet.addons.studies.study_file import parse_study
 from fleet.addons.studies.sweep import load_points
@@ -44,7 +44,7 @@ READERS: dict[str, Callable[..., object]] = {
     "rules of stopping": check_until,
     "seeds": parse_seeds,
     "set": lambda text: set_values([text]),
-    "varied": lambda *texts: varied(list(texts)),
+    "varied": lambda *texts: varied_values(list(texts)),
 }
 
 

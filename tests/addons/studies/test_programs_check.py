@@ -21,9 +21,9 @@ from fleet.addons.studies.sweep import check_names
 from fleet.errors import ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.result.verdict import Margin
-from fleet.scenario.loading import changed
+from fleet.scenario.loading import with_overrides
 from fleet.scenario.scenario import Scenario
 
 JUDGED = "checks.signal={topic: state.z, below: 99 m}"
@@ -35,7 +35,7 @@ def task(scenario: Scenario, *, bare: bool = False) -> Task:
 
 
 def test_a_program_that_fails_fails_the_run(module: Callable[[str], str]) -> None:
-    (verdict,) = [one for one in judged(talking(module, fails_at=50)).checks if one.failed]
+    (verdict,) = [one for one in run_loaded(talking(module, fails_at=50)).checks if one.failed]
     assert (verdict.check, verdict.asked, verdict.found) == ("programs", "none fails", FOUND)
     assert verdict.margin == Margin(-1, "programs", verdict.moment.at_s if verdict.moment else None)
     assert verdict.moment is not None and (verdict.moment.tick, verdict.moment.vehicles) == (50, [2])
@@ -43,7 +43,7 @@ def test_a_program_that_fails_fails_the_run(module: Callable[[str], str]) -> Non
 
 def test_the_check_is_there_only_when_one_has_failed(module: Callable[[str], str]) -> None:
     for changes, parameters in (((), {}), (("checks.programs=waived",), {"fails_at": 50})):
-        verdicts = judged(talking(module, *changes, **parameters)).checks
+        verdicts = run_loaded(talking(module, *changes, **parameters)).checks
         assert "programs" not in {one.check for one in verdicts}
         assert all(one.passed for one in verdicts)
     with pytest.raises(ScenarioError, match="has no effect without nodes"):
@@ -67,7 +67,7 @@ def test_rows_of_studies_have_it(bare: bool, module: Callable[[str], str]) -> No
 def test_a_bare_run_leaves_a_failure_to_the_emulator(module: Callable[[str], str]) -> None:
     scenario = talking(module, JUDGED, text=MOORED, fails_at=50)
     assert bare_verdicts(scenario) == []
-    assert [one.check for one in bare_verdicts(changed(scenario, ["checks.programs=waived"]))] == ["state.z"]
+    assert [one.check for one in bare_verdicts(with_overrides(scenario, ["checks.programs=waived"]))] == ["state.z"]
 
 
 def test_a_search_finds_it(module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,11 +21,11 @@ from fleet.addons.studies.engine import local_engine
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import PartRow, Row
 from fleet.execution.moments import reach
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.recorder.start import Leg, Start
 from fleet.scenario.loading import load_scenario, parse_scenario
 from fleet.scenario.scenario import Scenario
-from netem.draws import salted
+from netem.draws import salted_seed
 from world.plugins.trust import trusting
 
 SELDOM = """\
@@ -73,7 +73,7 @@ def part_of(
 
 def test_a_part_without_salt_goes_on_as_the_run_did() -> None:
     scenario = seldom()
-    whole = next(verdict for verdict in judged(scenario).checks if verdict.check == "max_age")
+    whole = next(verdict for verdict in run_loaded(scenario).checks if verdict.check == "max_age")
     part = part_of(scenario, 0)
     assert part.best == whole.margin.value and part.ticks == scenario.ticks
     margin, tick = part.places[1]
@@ -164,8 +164,8 @@ def test_a_signal_counts_once_the_moment_has_the_noise_that_made_it(
 
 
 def test_no_salt_is_the_seed_itself() -> None:
-    assert salted(7, 0) == 7
-    assert len({salted(7, salt) for salt in range(100)}) == 100
+    assert salted_seed(7, 0) == 7
+    assert len({salted_seed(7, salt) for salt in range(100)}) == 100
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import CheckRow, Covered, Row
 from fleet.addons.studies.search import SearchResult, nemesis_of, search
 from fleet.addons.studies.statistics import most_failures
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.episodes import chance
@@ -31,7 +31,7 @@ def searched(*overrides: str, engine: Here | None = None, **options: Any) -> Sea
 
 
 def test_it_is_the_first_seed_that_fails_in_whatever_order_they_are_run() -> None:
-    fails = [seed for seed in range(1, 5) if not judged(small(NEMESIS, CHECK, f"seed={seed}")).passed]
+    fails = [seed for seed in range(1, 5) if not run_loaded(small(NEMESIS, CHECK, f"seed={seed}")).passed]
     assert fails[0] > 1 and len(fails) > 1
     for engine in (Here(), Here(backwards=True)):
         found = searched(NEMESIS, CHECK, engine=engine)
@@ -104,7 +104,7 @@ def test_a_run_without_result_is_no_evidence(monkeypatch: pytest.MonkeyPatch) ->
     def broken(*_: object, **__: object) -> None:
         raise RuntimeError("enough")
 
-    monkeypatch.setattr("fleet.addons.studies.one_run.judged", broken)
+    monkeypatch.setattr("fleet.addons.studies.one_run.run_loaded", broken)
     found = searched(NEMESIS)
     assert (found.runs, found.without, found.reason, found.most_failures) == (0, 12, "RuntimeError: enough", None)
 
@@ -156,7 +156,7 @@ def test_a_search_with_episodes_says_what_began_faults_and_what_was_covered() ->
     assert found.scenario is not None and found.scenario.spec.triggers == []
     began = {fault.id for fault in found.scenario.spec.faults} & set(found.triggered)
     assert began and all("after control.leads above 0" in found.triggered[name] for name in began)
-    again = judged(found.scenario)
+    again = run_loaded(found.scenario)
     assert [verdict.check for verdict in again.checks if verdict.failed] == ["always-1"]
     covered = found.covered
     assert covered is not None and (covered.episodes, covered.unit_s) == (found.runs, 2.0)
@@ -192,7 +192,7 @@ def test_a_run_that_fails_is_made_with_its_digest_and_confirmed_once(
         return run
 
     monkeypatch.setattr("fleet.addons.studies.one_run.bare_verdicts", counted("bare", bare_verdicts))
-    monkeypatch.setattr("fleet.addons.studies.one_run.judged", counted("judged", judged))
+    monkeypatch.setattr("fleet.addons.studies.one_run.run_loaded", counted("judged", run_loaded))
     scenario = parse_scenario(EPISODES, "e.yaml") if moored else small(NEMESIS, CHECK)
     found = search(scenario, Here(), lambda runs: None, most_runs=8)
     assert [how for seed, how in made if seed == found.seed] == ["bare" if moored else "judged", "judged"]

@@ -17,7 +17,7 @@ from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.row import CheckRow, Row
 from fleet.addons.studies.shrink import Shrinker, are_told, ddmin, number_places
 from fleet.errors import ScenarioError
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.faults.partitions import partition
 from fleet.scenario.loading import parse_scenario
@@ -48,7 +48,7 @@ def test_what_is_not_needed_goes_and_what_is_left_fails() -> None:
     assert found.scenario.vehicles == 2
     assert found.steps[0] == "1 of 5 faults are needed"
     assert found.scenario.duration_ns > 800_000_000  # a run that only ended too early does not count
-    assert not judged(found.scenario).passed
+    assert not run_loaded(found.scenario).passed
 
 
 def test_a_check_without_anything_to_judge_does_not_count() -> None:
@@ -176,7 +176,7 @@ def test_the_runs_may_be_used_up() -> None:
     engine = Here()
     found = shrinker(FAULTS, CHECK, engine=engine).shrink(most_runs=4)
     assert len(engine.tasks) <= 4
-    assert not judged(found.scenario).passed
+    assert not run_loaded(found.scenario).passed
 
 
 class Asked:

@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 from small_scenario import SMALL, small
 
-from fleet.addons.studies.measures import Samples, find_columns, measures_of_checks, parse_signal, signal_columns_of
 from fleet.addons.studies.plan import Plan
+from fleet.addons.studies.signal_measures import (
+    Samples,
+    find_columns,
+    measures_of_checks,
+    parse_signal,
+    signal_columns_of,
+)
 from fleet.addons.studies.spec import StudySpec
 from fleet.addons.studies.summary import DEFAULT
 from fleet.addons.studies.sweep import prepare
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.logs.open_log import open_log
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.overrides import SET, Override
@@ -24,7 +30,7 @@ from fleet.scenario.text.overrides import SET, Override
 
 def numbers(scenario: Scenario, *names: str) -> dict[str, float]:
     samples = Samples(scenario, names)
-    judged(scenario, watcher=samples)
+    run_loaded(scenario, watcher=samples)
     return samples.numbers()
 
 

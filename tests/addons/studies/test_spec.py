@@ -95,7 +95,7 @@ def test_options_add_to_a_study_and_overrule_it() -> None:
         measures=["tumbles"],
         timeout="1 s",
     )
-    found = spec.changed(
+    found = spec.with_options(
         vary={"loss": "1 %", "controller": "nboc, bc"},
         set={"profile": "hardened", "duration": "8 s"},
         net=["1->2 loss 5%"],
@@ -112,8 +112,8 @@ def test_options_add_to_a_study_and_overrule_it() -> None:
         measures=["tumbles"],
         timeout="1 s",
     )
-    assert spec.changed(zip=True).zip
-    assert spec.changed(zip=True).changed().zip
+    assert spec.with_options(zip=True).zip
+    assert spec.with_options(zip=True).with_options().zip
 
 
 def test_a_plan_has_all_that_the_study_says() -> None:
@@ -124,7 +124,7 @@ def test_a_plan_has_all_that_the_study_says() -> None:
     assert plan.changes == (Override(SET, "a={x}"), Override(NET, "* loss 1%"), Override(FAULT, "at 1s off 1"))
     assert (plan.scenario, plan.axes, plan.seeds, plan.draw) == ("paper", (axis("x", "1, 2"),), (4, 2), 7)
     assert spec.timeout_s == inf
-    assert spec.changed(timeout="1.5 s").timeout_s == 1.5
+    assert spec.with_options(timeout="1.5 s").timeout_s == 1.5
 
 
 def test_seeds_as_text() -> None:

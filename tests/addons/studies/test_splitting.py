@@ -9,8 +9,8 @@ from random import Random
 import pytest
 from marks import slow
 
-from fleet.addons.studies.rare import Ask, Splitting, interval
 from fleet.addons.studies.row import PartRow
+from fleet.addons.studies.splitting import Ask, Splitting, interval
 
 STEPS = 60
 

@@ -23,11 +23,11 @@ from fleet.addons.studies.failures import FailureFolder, FoundFailure, Regressio
 from fleet.addons.studies.modules import Modules
 from fleet.addons.studies.one_run import Task
 from fleet.addons.studies.plan import Plan
-from fleet.addons.studies.row import FAILED, LATE, CheckRow, Row, voted
+from fleet.addons.studies.row import FAILED, LATE, CheckRow, Row, majority
 from fleet.addons.studies.search import SearchResult, search
 from fleet.addons.studies.shrink import Shrinker
 from fleet.addons.studies.stack_runs import TRIES, StackRuns
-from fleet.addons.studies.stopping import estimated
+from fleet.addons.studies.stopping import estimate
 from fleet.addons.studies.store import Store
 from fleet.addons.studies.summary import summarise
 from fleet.addons.studies.sweep import prepare, run_study
@@ -78,7 +78,7 @@ def test_what_most_of_the_runs_with_a_verdict_came_to_counts(
     """A tie is no failure."""
     made = [row(1, *([one] if one in ("heard", "programs") else []), status=one if one in ("late", "failed") else "")
             for one in rows]  # fmt: skip
-    most, failed, of = voted(made, check)
+    most, failed, of = majority(made, check)
     assert ("".join(most.failed_checks) or (most.status if not most.has_result else ""), failed, of) == expected
 
 
@@ -348,4 +348,4 @@ def test_late_runs_are_counted_and_are_in_no_share(
         assert (point.passed.runs, point.passed.value) == (2, 0.5)
     rows = [one for one in store.rows(details=True) if one.point == 0]
     assert [one.status for one in rows] == [LATE, "check_failed", FAILED, "pass"]
-    assert estimated(rows).runs == 2
+    assert estimate(rows).runs == 2

@@ -26,7 +26,7 @@ from fleet.addons.studies.spec import StudySpec
 from fleet.addons.studies.store import Store
 from fleet.addons.studies.study import Study, open_study
 from fleet.addons.studies.summary import summarise
-from fleet.addons.studies.sweep import Progress, declared, load_points, modules_again, prepare, run_study
+from fleet.addons.studies.sweep import Progress, load_points, measure_columns, modules_again, prepare, run_study
 from fleet.addons.studies.values import parse_axis
 from fleet.errors import ScenarioError
 from fleet.execution.whole_run import run
@@ -118,9 +118,9 @@ def test_an_interrupted_study_goes_on_where_it_was(small_file: str, whole: Store
 def test_a_study_is_run_by_one_program_at_a_time(small_file: str, tmp_path: Path) -> None:
     store, _ = prepare(plan(small_file), tmp_path / "study")
     again = Store.open(tmp_path / "study")
-    with store.locked(), pytest.raises(StudyError, match="another fleet runs the study"), again.locked():
+    with store.lock(), pytest.raises(StudyError, match="another fleet runs the study"), again.lock():
         pass
-    with again.locked():
+    with again.lock():
         pass
 
 
@@ -131,7 +131,7 @@ def test_rows_of_another_program_are_kept(small_file: str, tmp_path: Path) -> No
     with pytest.raises(KeyboardInterrupt):
         run_study(first, Here(most=3), lambda progress: None)
     run_study(second, Here(), lambda progress: None)
-    assert (second.missing, len(second.done())) == (0, 8)
+    assert (second.missing, len(second.finished_runs())) == (0, 8)
 
 
 def test_a_run_without_a_frame_is_a_row(small_file: str, tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_a_point_that_may_have_no_more_seeds_is_told(small_file: str, tmp_path: 
     spec = StudySpec(small_file, until="pass ±1 %", most_seeds=3)
     store, _ = prepare(Plan(small_file, (CHECKS,), seeds=(1, 2)), tmp_path / "study", spec=spec)
     run_study(store, Here(), lambda progress: None)
-    assert (len(store.done()), store.missing, store.short()) == (3, 0, 1)
+    assert (len(store.finished_runs()), store.missing, store.short()) == (3, 0, 1)
 
 
 def test_no_run_begins_after_the_budget(small_file: str, tmp_path: Path) -> None:
@@ -403,4 +403,4 @@ def test_moored_vehicles_have_no_formation_error_in_the_table() -> None:
     """It was 0 in every row, since they stay where they are."""
     changes = {"moored": "true", "agent": "fleet.protocols.average:ExactAverage", "checks": "{}"}
     scenarios = load_points(plan_of(StudySpec("average", set=changes)))
-    assert declared(StudySpec("average"), scenarios)[0] == ("age_p95_s", "loss_share")
+    assert measure_columns(StudySpec("average"), scenarios)[0] == ("age_p95_s", "loss_share")

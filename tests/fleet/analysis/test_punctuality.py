@@ -36,7 +36,7 @@ FINE: dict[str, Any] = {
 
 
 def measured(values: dict[str, Any]) -> Timing:
-    return timing.measured(values, 1.0)
+    return timing.timing_of(values, 1.0)
 
 
 def worse(path: str, value: Any) -> Timing:
@@ -70,7 +70,7 @@ def test_whatever_is_late_degrades_a_run_and_is_named(path: str, value: Any, sai
     bad = worse(path, value)
     assert (bad.label, len(bad.reasons)) == ("degraded", 1)
     assert re.search(said, bad.reasons[0])
-    assert timing.measured({"netem": {}}, 1.0) is None  # a run that ended before both answered
+    assert timing.timing_of({"netem": {}}, 1.0) is None  # a run that ended before both answered
 
 
 def test_the_verdict_tolerates_what_was_asked_for() -> None:

@@ -10,7 +10,7 @@ import pytest
 from repository import ROOT
 
 from fleet.checks.python_check import BUDGET_S
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.checks import CONDITIONS, SignalCheck
 
@@ -26,7 +26,7 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert own is not None
     (tmp_path / "mine.yaml").write_text(BLOCKS["yaml"] + own[0])
     (tmp_path / "one_leader.py").write_text(BLOCKS["python"])
-    result = judged(load_scenario("mine.yaml"))
+    result = run_loaded(load_scenario("mine.yaml"))
     found = {verdict.check: verdict for verdict in result.checks}
     assert {name for name, verdict in found.items() if not verdict.passed} == {"AtMostOneLeader", "settled"}
     settled = found["settled"]

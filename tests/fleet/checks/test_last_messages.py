@@ -73,7 +73,7 @@ def test_who_is_gone_or_paused_at_the_time_of_the_failure_is_silent(kind: str) -
     """And no longer when that is over."""
     scenario = small("duration=4 s", "checks={signal: {topic: error.e_norm, below: 8 m, after: 1 s}}")
     for over in (False, True):
-        own = OwnChecks.asked(scenario)
+        own = OwnChecks.from_scenario(scenario)
         assert own is not None
         own.settle(replace(fate(1, 2, 10), payload=STATE))
         own.event(begins("f", 20, f"{kind} 1"))

@@ -19,7 +19,7 @@ from fleet.execution.clock import GrantPolicy
 from fleet.execution.execute import execute
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import NoLog
 from fleet.recorder.writer import LogWriter
@@ -55,7 +55,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_no_check_costs_nothing() -> None:
-    assert OwnChecks.asked(small("checks={ledger: balanced}")) is None
+    assert OwnChecks.from_scenario(small("checks={ledger: balanced}")) is None
 
 
 def test_checks_stand_as_they_do_while_a_run_goes_on() -> None:
@@ -67,7 +67,7 @@ def test_checks_stand_as_they_do_while_a_run_goes_on() -> None:
     )
     asked = f"checks={{signal: [{', '.join(each)}]}}"
     scenario = small(asked)
-    journal = Journal(scenario, LogWriter(NoLog(), scenario), checks=OwnChecks.asked(scenario))
+    journal = Journal(scenario, LogWriter(NoLog(), scenario), checks=OwnChecks.from_scenario(scenario))
     seen: list[dict[str, bool | None]] = []
 
     def look() -> None:
@@ -101,7 +101,7 @@ def test_a_log_is_verified_without_its_checks(module: Path) -> None:
     assert result.directory is not None
     module.unlink()
     assert verify(result.directory).reproduced
-    assert result.digest == judged(small()).digest
+    assert result.digest == run_loaded(small()).digest
 
 
 def test_verdicts_come_in_the_order_of_the_scenario() -> None:

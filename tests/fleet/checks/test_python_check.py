@@ -13,7 +13,7 @@ from small_scenario import SMALL, small
 import fleet.checks.python_check
 from fleet.checks.python_check import CheckError
 from fleet.errors import ScenarioError
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.result.verdict import Verdict
 from fleet.scenario.loading import load_scenario
 
@@ -227,8 +227,8 @@ def test_a_real_run_is_kept_whatever_its_check_does(module: Path) -> None:
     module.write_text(HEAD + STEP + "if tick.t > 0.5: raise ValueError('late')\n")
     scenario = module.with_name("here.yaml")
     scenario.write_text(SMALL + "checks:\n  own_checks_here:Check:\n")
-    result = judged(load_scenario(scenario))
+    result = run_loaded(load_scenario(scenario))
     assert result.status.name == "CHECK_FAILED"
     row = next(check for check in result.values["checks"] if check["check"] == "Check")
     assert "raised ValueError: late" in row["found"] and row["moment"]["at_s"] == 0.51
-    assert result.digest == judged(small()).digest  # a check changes no byte
+    assert result.digest == run_loaded(small()).digest  # a check changes no byte

@@ -153,7 +153,7 @@ def test_a_check_keeps_nothing_that_grows() -> None:
     scenario = small(
         "duration=1000 s", "checks={signal: [{topic: nav.z, below: 9 m}, {topic: nav.z, agree_within: 1 s}]}"
     )
-    own = OwnChecks.asked(scenario)
+    own = OwnChecks.from_scenario(scenario)
     assert own is not None
 
     def feed(ticks: range) -> int:

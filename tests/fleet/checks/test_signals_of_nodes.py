@@ -29,7 +29,7 @@ def stack(check: str) -> Scenario:
 
 def judged(check: str, told: Told) -> Verdict:
     scenario = stack(check)
-    own = OwnChecks.asked(scenario)
+    own = OwnChecks.from_scenario(scenario)
     for tick in range(0, scenario.ticks + 1, 10):
         found: dict[tuple[int, str], Values] = {}
         for i in (1, 2, 3):

@@ -11,7 +11,7 @@ from small_scenario import small
 from fleet.addons.studies.one_run import Task, make_run
 from fleet.addons.studies.row import Reached, Row, sometimes_names
 from fleet.addons.studies.search import SearchResult
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 
 PYTHON = "checks={signal: {name: deep, topic: state.z, above: %s, sometimes: true}, "
 
@@ -42,7 +42,7 @@ def test_a_signal_reaches_it_or_not_and_the_run_passes(check: str, reached: bool
 def test_what_fails_a_check_in_python_is_what_is_reached() -> None:
     within = "fleet.protocols.checks:AllVisited: {places: [[0, 0, 900]], sometimes: true, name: left-out}}"
     scenario = small(PYTHON % "3 m" + within)
-    verdicts = {verdict.check: verdict for verdict in judged(scenario).checks}
+    verdicts = {verdict.check: verdict for verdict in run_loaded(scenario).checks}
     assert verdicts["left-out"].reached and verdicts["left-out"].passed
     assert verdicts["left-out"].found.startswith("reached: 1 of 1 places not visited")
     assert sometimes_names([scenario]) == ["deep", "left-out"]

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from tool import invoke
 
-from fleet.addon import installed
+from fleet.addon import installed_addons
 from fleet.cli.group import command_of
 from fleet.cli.main import cli
 from fleet.cli.verbs import HINTS, OTHER_OPTIONS, every_verb, headings, hint_for
@@ -45,7 +45,7 @@ def test_every_command_stands_in_one_group_and_where_the_table_says() -> None:
 
 
 def test_words_of_other_tools_name_verbs_of_ours() -> None:
-    theirs = HINTS.keys() | {word for addon in installed().addons.values() for word in addon.hints}
+    theirs = HINTS.keys() | {word for addon in installed_addons().addons.values() for word in addon.hints}
     assert len(theirs) > 35 and not theirs & every_verb().keys()
     for word in theirs:
         ours = hint_for(word)
@@ -91,7 +91,7 @@ def test_an_option_that_there_is_not_names_one_of_the_command_that_does_it() -> 
     """`boundary --runs` was taken for a mistyped `--trust`."""
     others = [
         *OTHER_OPTIONS.items(),
-        *(each for one in installed().addons.values() for each in one.other_options.items()),
+        *(each for one in installed_addons().addons.values() for each in one.other_options.items()),
     ]
     assert {(verb, "--runs") for verb in ("sweep", "boundary", "search", "shrink")} <= {key for key, _ in others}
     for (verb, option), hint in others:

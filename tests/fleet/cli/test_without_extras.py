@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from one_child import in_one_child
 
-from fleet.addons.studies.engine import NEEDED
+from fleet.addons.studies.engine_interface import NEEDED
 
 # piqp brings scipy.
 WITHOUT = f"import sys; sys.modules.update(dict.fromkeys({tuple(name for name in NEEDED if name != 'scipy')}))"

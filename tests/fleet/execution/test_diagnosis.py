@@ -8,7 +8,7 @@ from typing import Any
 
 from fleet.errors import RunBroken
 from fleet.execution.diagnosis import explain
-from fleet.execution.notes import folded, without_agent
+from fleet.execution.notes import fold_notes, text_without_agent
 from fleet.processes.children import Child, Exit
 
 
@@ -37,5 +37,7 @@ def test_an_error_that_all_agents_report_is_told_once(tmp_path: Path) -> None:
     assert "\n".join(error.lines).count("no good") == 1
     assert error.lines[0] == f"{notes[1]} (so did agents 2, 3, 4)"
     assert error.lines[1] == f"the traceback is in {log}"
-    assert without_agent(error.lines[0]) == without_agent(notes[0])  # so that a table of notes leaves them out
-    assert folded(notes) == [f"{notes[0]} (so did agents 1, 3, 4)", notes[4]]
+    assert text_without_agent(error.lines[0]) == text_without_agent(
+        notes[0]
+    )  # so that a table of notes leaves them out
+    assert fold_notes(notes) == [f"{notes[0]} (so did agents 1, 3, 4)", notes[4]]

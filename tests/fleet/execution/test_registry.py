@@ -16,10 +16,10 @@ from tool import invoke
 
 from fleet.execution import registry
 from fleet.execution.connection import find
-from fleet.execution.directory import RunDirectory, in_use
+from fleet.execution.directory import RunDirectory, is_in_use
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
-from fleet.execution.registry import RegistryError, folder, register, registered
+from fleet.execution.registry import RegistryError, folder, register, registered_runs
 from fleet.result.file import write_result
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import parse_scenario
@@ -36,15 +36,15 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_run_is_registered_while_it_lives(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also with a relative directory, since others look from another folder; the umask takes nothing away."""
     monkeypatch.chdir(tmp_path)
-    assert registered() == []
+    assert registered_runs() == []
     before = os.umask(0o000)
     try:
         with live_directory(Path("runs")) as run:
-            assert registered() == [tmp_path / run]
+            assert registered_runs() == [tmp_path / run]
             assert place.stat().st_mode & 0o777 == 0o700
     finally:
         os.umask(before)
-    assert registered() == []
+    assert registered_runs() == []
     assert list(place.iterdir()) == []
 
 
@@ -52,7 +52,7 @@ def test_a_run_registers_and_goes(place: Path, tmp_path: Path) -> None:
     result = execute(parse_scenario(SMALL, "small.yaml"), Options(tmp_path / "runs", in_process=True, quiet=True))
     assert not result.reason
     assert list(place.iterdir()) == []  # it was made, and is empty again
-    assert not in_use(result.directory)
+    assert not is_in_use(result.directory)
 
 
 def as_a_link(place: Path) -> None:
@@ -77,7 +77,7 @@ def test_a_folder_that_others_can_enter_is_refused(words: str, place: Path, tmp_
     with pytest.raises(RegistryError, match=words):
         register(directory)
     with pytest.raises(RegistryError):
-        registered()
+        registered_runs()
     directory.close()
     assert list(tmp_path.glob("runtime/*/*")) == []
 
@@ -89,12 +89,12 @@ def test_a_folder_of_another_user_is_refused(place: Path, tmp_path: Path, monkey
     assert folder() == tmp_path / f"uuv-fleet-{os.getuid()}"
     folder().mkdir(mode=0o700)
     with live_directory(tmp_path / "runs") as run:
-        assert registered() == [run]
+        assert registered_runs() == [run]
         stranger = os.getuid() + 1
         folder().rename(tmp_path / f"uuv-fleet-{stranger}")
         monkeypatch.setattr("os.getuid", lambda: stranger)
         with pytest.raises(RegistryError, match="belongs to another user"):
-            registered()
+            registered_runs()
 
 
 @pytest.mark.parametrize("value", ["", "relative", "/proc/1/nothing"])
@@ -124,7 +124,7 @@ def test_links_of_runs_that_are_over_are_removed_with_their_passwords(place: Pat
         (place / "gone").symlink_to(tmp_path / "nowhere")
         (place / "loop").symlink_to(place / "loop")
         (place / "note.txt").write_text("not ours")
-        assert registered() == [alive]
+        assert registered_runs() == [alive]
         assert [path.readlink() for path in place.iterdir() if path.is_symlink()] == [alive]
         assert (place / "note.txt").exists()
         assert {path.name for path in dead.iterdir()} == {"scenario.yaml", "log"}
@@ -145,9 +145,9 @@ def test_without_locks_a_run_is_not_registered_and_not_taken_for_dead(
     with pytest.raises(RegistryError, match="has no locks"):
         register(directory)
     assert not place.exists()
-    assert in_use(directory.path)
+    assert is_in_use(directory.path)
     write_result(Result(status=Status.PASS), directory.path)
-    assert not in_use(directory.path)
+    assert not is_in_use(directory.path)
     directory.close()
 
 
@@ -163,7 +163,7 @@ def test_a_run_is_found_from_any_folder_and_kill_9_leaves_no_ghost(
         assert (refused.exit_code, "there is no vehicle 9" in refused.stderr) == (2, True)
         run.send(9)
         run.until_nobody_is_left()
-        assert not in_use(run.directory)
+        assert not is_in_use(run.directory)
         assert invoke("ls").stdout == ""
         assert invoke("status").exit_code == 3
         assert list(place.iterdir()) == []

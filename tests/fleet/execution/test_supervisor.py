@@ -53,7 +53,7 @@ class External:
     def expect(self, i: int, incarnation: int, begin: int) -> None:
         self.expected.append((i, incarnation, begin))
 
-    def joined(self, i: int) -> None: ...
+    def on_joined(self, i: int) -> None: ...
 
 
 class Processes:
@@ -114,10 +114,10 @@ class Rig:
 
 def test_an_agent_that_dies_under_continue_leaves_its_vehicle_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, "on_death=continue")
-    assert rig.supervisor.ended(Exit("agent-2", 1, 7))
+    assert rig.supervisor.on_process_ended(Exit("agent-2", 1, 7))
     assert rig.fleet.announced == [Death(2, None, 0, None)]
     assert rig.supervisor.deaths == {2: ["exited with status 1"]}
-    assert rig.supervisor.without_agent() == [2]
+    assert rig.supervisor.vehicles_without_agent() == [2]
     assert rig.notes.lines == [
         "t = 0.40 s (tick 40) agent 2 (pid 7) exited with status 1: its vehicle drifts without thrust; "
         "last line of log/agent-2.log: ValueError: no"
@@ -131,7 +131,7 @@ def test_an_agent_that_dies_under_restart_gets_another_life_three_times(monkeypa
     rig = Rig(monkeypatch, "on_death=restart")
     for life in range(4):
         rig.supervisor.granted = 50 + 100 * life
-        assert rig.supervisor.ended(Exit("agent-2", -9, 7))
+        assert rig.supervisor.on_process_ended(Exit("agent-2", -9, 7))
         if life == 3:
             break
         begin = rig.fleet.announced[-1].until  # type: ignore[union-attr]
@@ -165,14 +165,14 @@ def test_ends_that_end_the_run(
     role: str, code: int, overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = Rig(monkeypatch, *overrides)
-    assert not rig.supervisor.ended(Exit(role, code, 7))
+    assert not rig.supervisor.on_process_ended(Exit(role, code, 7))
     assert rig.fleet.announced == []
 
 
 def test_no_agent_may_die_before_the_run_has_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, "on_death=continue")
     rig.supervisor.begun = False
-    assert not rig.supervisor.ended(Exit("agent-1", 1, 7))
+    assert not rig.supervisor.on_process_ended(Exit("agent-1", 1, 7))
 
 
 def test_a_scripted_kill_waits_until_the_world_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,7 +184,7 @@ def test_a_scripted_kill_waits_until_the_world_is_there(monkeypatch: pytest.Monk
     rig.fleet.answers["ticks"] = {"ticks": [[3, 100]]}
     rig.supervisor.poll()
     assert rig.killed == [7]
-    assert rig.supervisor.ended(Exit("agent-3", -9, 7))
+    assert rig.supervisor.on_process_ended(Exit("agent-3", -9, 7))
     assert (rig.supervisor.deaths, rig.fleet.announced) == ({}, [])  # it was asked for
     rig.supervisor.poll()
     assert rig.fleet.started == []
@@ -196,10 +196,10 @@ def test_a_scripted_kill_waits_until_the_world_is_there(monkeypatch: pytest.Monk
 def test_a_host_that_dies_takes_its_living_agents_along(monkeypatch: pytest.MonkeyPatch) -> None:
     """Vehicle 1's agent ended before, so it had a process of its own; each life after the first has."""
     rig = Rig(monkeypatch, "on_death=restart", hosts=((1, 2, 3), (4,)))
-    assert rig.supervisor.ended(Exit("agent-1", CONTROLLER_FAILED - 1, 0))
+    assert rig.supervisor.on_process_ended(Exit("agent-1", CONTROLLER_FAILED - 1, 0))
     rig.supervisor.granted = 100
     rig.supervisor.poll()
-    assert rig.supervisor.ended(Exit("host-1", -11, 7))
+    assert rig.supervisor.on_process_ended(Exit("host-1", -11, 7))
     rig.supervisor.granted = 200
     rig.supervisor.poll()
     assert rig.supervisor.deaths == {
@@ -224,21 +224,21 @@ def test_a_kill_of_an_agent_on_a_host_ends_its_life_only(monkeypatch: pytest.Mon
 
 def test_an_external_agent_that_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, "on_death=continue", external=[3])
-    rig.supervisor.unregistered(3)
+    rig.supervisor.on_token_gone(3)
     assert rig.supervisor.deaths == {3: ["left: its session ended"]}
-    rig.supervisor.registered(3)  # its link comes back by itself
+    rig.supervisor.on_token(3)  # its link comes back by itself
     assert rig.fleet.asked[-1][1:] == (
         "dismiss", {"agents": [[3, 0, 0]], "reason": "its link had ended, and its life with it"},
     )  # fmt: skip
     rig = Rig(monkeypatch, "on_death=abort", external=[3])
     with pytest.raises(RunBroken, match=r"agent 3 \(external\) left at t = 0.40 s \(tick 40\)"):
-        rig.supervisor.unregistered(3)
+        rig.supervisor.on_token_gone(3)
 
 
 def test_before_the_run_another_external_agent_may_come(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(monkeypatch, "on_death=abort", external=[3])
     rig.supervisor.begun = False
-    rig.supervisor.unregistered(3)
+    rig.supervisor.on_token_gone(3)
     assert (rig.external.expected, rig.supervisor.deaths) == ([(3, 0, 0)], {})
-    rig.supervisor.unregistered(3)  # a token that was not there cannot go
+    rig.supervisor.on_token_gone(3)  # a token that was not there cannot go
     assert rig.external.expected == [(3, 0, 0)]

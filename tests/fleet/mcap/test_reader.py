@@ -47,7 +47,7 @@ def test_blocks_that_are_gathered_hold_the_same_messages(tmp_path: Path, most: i
         for k in range(300):
             writer.add_message(topics[k * k % 7], k, bytes([k % 256]) * (k % 11), k, k)
         writer.finish()
-    blocks = list(LogReader(log).gathered(most))
+    blocks = list(LogReader(log).gather_blocks(most))
     assert [one for block in blocks for one in block.messages()] == [
         one for block in LogReader(log).blocks() for one in block.messages()
     ]

@@ -28,7 +28,7 @@ from worker_items import (
 )
 
 from fleet.errors import RunBroken
-from fleet.processes.apart import apart, can_copy
+from fleet.processes.apart import can_copy, in_child_process
 from fleet.processes.workers import WorkerDied, WorkerLate, Workers
 
 
@@ -113,7 +113,7 @@ def test_a_process_with_several_threads_is_not_copied() -> None:
     try:
         assert not can_copy()
         with pytest.raises(AssertionError, match="several threads"):
-            apart(int)
+            in_child_process(int)
     finally:
         over.set()
         thread.join()

@@ -187,7 +187,7 @@ class Liar(ExactAverage):
 
     def transmit(self, nav: Any) -> list[bytes]:
         honest = super().transmit(nav)
-        degree, sums = average.received(EXACT, [delivery(honest[-1], 1, nav.tick)], lambda *_: True)[0][0][1]
+        degree, sums = average.valid_messages(EXACT, [delivery(honest[-1], 1, nav.tick)], lambda *_: True)[0][0][1]
         return [pack(EXACT, [degree, [[j, opened, hears, 2 * y, w] for j, opened, hears, y, w in sums]])]
 
 

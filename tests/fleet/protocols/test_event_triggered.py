@@ -106,7 +106,7 @@ def test_in_each_round_who_heard_what_was_sent_is_off_by_the_threshold_at_most(
         payloads = agent.transmit(Nav(0, now, (*place, 0.0, 0.0), (*velocity, 0.0, 0.0)))
         sent += [now] * len(payloads)
         table.absorb([Delivery(now, now, 1, 0, 0, payload) for payload in payloads], now)
-        (believed,) = [heard.position for heard in table.heard(now) if heard.id == 1]
+        (believed,) = [heard.position for heard in table.states_at(now) if heard.id == 1]
         assert dist(believed, place) <= threshold + 1e-9
         velocity = tuple(v + a * ROUND / 100 for v, a in zip(velocity, push, strict=True))  # type: ignore[assignment]
         place = tuple(p + v * ROUND / 100 for p, v in zip(place, velocity, strict=True))  # type: ignore[assignment]

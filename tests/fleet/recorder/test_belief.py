@@ -19,11 +19,11 @@ from mcap_protobuf.decoder import DecoderFactory
 from fleet.addons.page.log_feed import LogFeed
 from fleet.addons.pictures.beliefs import beliefs
 from fleet.addons.pictures.report import believed_errors
-from fleet.addons.pictures.runs import Run, View, load
+from fleet.addons.pictures.runs import LoggedRun, View, load
 from fleet.addons.pictures.time_series import formation
-from fleet.addons.pictures.track import _believed, _tracks, space, top
+from fleet.addons.pictures.track import _believed_ways, _tracks, space, top
 from fleet.logs.open_log import open_log
-from fleet.recorder.scene.belief import NewestBeliefs, PlaceBelief, drawn_belief, ellipse
+from fleet.recorder.scene.belief import NewestBeliefs, PlaceBelief, belief_primitives, ellipse
 from fleet.recorder.scene.primitives import AreaShape, CrossShape, Primitive, plain
 from fleet.scenario.loading import load_scenario
 
@@ -57,7 +57,7 @@ def log(alone: Alone) -> Path:
 
 
 @pytest.mark.parametrize("picture", [top, space])
-def test_the_tracks_show_them(picture: Callable[[list[Run], View], Figure], log: Path) -> None:
+def test_the_tracks_show_them(picture: Callable[[list[LoggedRun], View], Figure], log: Path) -> None:
     drawn = [str(artist.get_gid()) for artist in picture(load([log]), View()).axes[0].get_children()]
     assert drawn.count("ellipse-1") == drawn.count("ellipse-4") == 5
     assert "belief-3" in drawn
@@ -95,8 +95,8 @@ def test_the_belief_of_a_vehicle_that_nobody_asks_is_not_shown_for_long(log: Pat
 
 
 def test_a_belief_that_is_no_number_is_not_drawn() -> None:
-    assert drawn_belief(1, PlaceBelief((nan, 0.0, 0.0), (1.0, 0.0, 1.0))) == []
-    (cross,) = drawn_belief(1, PlaceBelief.by_navigator((1.0, 0.0, 0.0), (nan,) * 10))  # that of a replayed error
+    assert belief_primitives(1, PlaceBelief((nan, 0.0, 0.0), (1.0, 0.0, 1.0))) == []
+    (cross,) = belief_primitives(1, PlaceBelief.by_navigator((1.0, 0.0, 0.0), (nan,) * 10))  # that of a replayed error
     assert isinstance(cross, CrossShape)
 
 
@@ -136,17 +136,17 @@ def test_page_and_movie_show_what_a_vehicle_believes_by_its_ranges(ranged: Path)
     for at_s in (19.9, 18.3):
         feed.seek(at_s)
         things = feed.picture.moving()
-        wanted = drawn_belief(3, by_ranges(ranged, 3, at_s)[0])
+        wanted = belief_primitives(3, by_ranges(ranged, 3, at_s)[0])
         assert len(wanted) == 2
         assert [one for one in things if one in wanted] == wanted
 
 
 @pytest.mark.parametrize("picture", [top, space])
 def test_the_tracks_show_what_a_vehicle_believes_by_its_ranges(
-    picture: Callable[[list[Run], View], Figure], ranged: Path
+    picture: Callable[[list[LoggedRun], View], Figure], ranged: Path
 ) -> None:
     runs = load([ranged])
-    ways = {way.vehicle: way for way in _believed(_tracks(runs, View())[0], View())}
+    ways = {way.vehicle: way for way in _believed_ways(_tracks(runs, View())[0], View())}
     located, state = (open_log(ranged)[f"uuv/3/{group}"] for group in ("located", "state"))
     assert len(ways[3].positions) == len(located)
     true = np.column_stack([state.x, state.y])[np.isin(state.t, located.t)]

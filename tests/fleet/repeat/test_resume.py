@@ -21,7 +21,7 @@ from small_scenario import small
 from tool import invoke
 
 from fleet.addons.page.log_feed import LogFeed
-from fleet.addons.pictures.axes import over_time
+from fleet.addons.pictures.axes import time_axes
 from fleet.addons.pictures.exchange import peak_ages
 from fleet.addons.pictures.runs import View, load
 from fleet.errors import FleetError
@@ -178,7 +178,7 @@ def test_pictures_of_it_begin_where_it_begins(recorded: Alone, tmp_path: Path) -
     again = run(scenario, tmp_path / "again", start)
     (drawn,) = load([again.directory])
     assert (open_log(first.directory).begin, drawn.log.begin) == (0.0, 1.0)
-    assert over_time(1, [drawn], View())[1][0].get_xlim()[0] == 1.0
+    assert time_axes(1, [drawn], View())[1][0].get_xlim()[0] == 1.0
     edges = np.array([0.0, 0.8, 1.4, 1.9])
     cut_off, open_link = (peak_ages(drawn, link, edges) for link in ((1, 2), (2, 1)))
     assert np.isnan(open_link).tolist() == [True, False, False] and open_link[1:].max() < 0.3

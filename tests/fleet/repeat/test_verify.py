@@ -382,7 +382,7 @@ def test_memory_is_bounded(log: Path, tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize(("a", "b", "apart"), [(nan, nan, 0.0), (nan, 1.0, inf), (inf, inf, 0.0), (1.5, 1.0, 0.5)])
 def test_distance_of_what_is_no_number(a: float, b: float, apart: float) -> None:
-    assert fleet.logs.deviation._apart(a, b) == apart
+    assert fleet.logs.deviation._distance(a, b) == apart
 
 
 def test_units_of_fields(log: Path) -> None:

@@ -36,7 +36,7 @@ def moored(*changes: str) -> Scenario:
 
 def plan(s: Scenario) -> episodes.EpisodePlan:
     assert s.undrawn.nemesis is not None
-    return episodes.plan(s.undrawn.nemesis, s.ground)
+    return episodes.plan(s.undrawn.nemesis, s.targets)
 
 
 AVERAGE = ("agent=fleet.protocols.average:ExactAverage", "nemesis.watch=null")
@@ -65,7 +65,7 @@ def test_kills_leave_somebody_alive_or_end(vehicles: int) -> None:
     s = moored(f"vehicles={vehicles}", fleet, "nemesis={mode: episodes, pick: [kill]}", "graph={shape: complete}")
     forever = 0
     for seed in range(1, 200):
-        faults, _ = episodes.draw(s.undrawn.nemesis, s.ground._replace(spec=s.spec.model_copy(update={"seed": seed})))
+        faults, _ = episodes.draw(s.undrawn.nemesis, s.targets._replace(spec=s.spec.model_copy(update={"seed": seed})))
         for_good = [fault for fault in faults if fault.for_ is None]
         gone = {i for fault in for_good for i in fault.kind.vehicles(fault.values)}
         assert len(gone) < vehicles, f"seed {seed}"
@@ -84,7 +84,7 @@ def test_faults_lie_in_the_first_half_of_an_episode_but_for_those_that_stay(seed
         if fault.for_ is None:
             assert begin == begins[-1] and fault.kind.name in ("partition", "kill")
         else:
-            assert s.ground.round_ns <= fault.for_ <= begin + 3 * unit - fault.at
+            assert s.targets.round_ns <= fault.for_ <= begin + 3 * unit - fault.at
     for trigger in s.spec.triggers:
         assert trigger.when.before is not None and trigger.wait is not None and trigger.for_ is not None
         begin = max(at for at in begins if at <= trigger.when.after)
@@ -139,14 +139,14 @@ def test_no_two_draws_of_an_order_are_the_same(vehicles: int, monkeypatch: pytes
     assert s.undrawn.nemesis is not None
     for seed in range(10):
         asked.clear()
-        episodes.counted(s.undrawn.nemesis, s.ground, [seed])
+        episodes.count_episodes(s.undrawn.nemesis, s.targets, [seed])
         assert max(asked.values()) == 1
 
 
 def test_what_some_seeds_draw_is_counted_by_kind() -> None:
     s = moored("nemesis.watch=null")
     assert s.undrawn.nemesis is not None
-    kinds, faults = episodes.counted(s.undrawn.nemesis, s.ground, range(1, 61))
+    kinds, faults = episodes.count_episodes(s.undrawn.nemesis, s.targets, range(1, 61))
     assert kinds.total() == 60 * len(plan(s).begins) and set(kinds) == {"isolations", "splits", "mixed"}
     drawn = [moored(f"seed={seed}", "nemesis.watch=null").spec.faults for seed in range(1, 61)]
     assert faults == Counter(fault.kind.name for some in drawn for fault in some)

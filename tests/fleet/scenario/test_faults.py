@@ -228,7 +228,8 @@ from typing import Any
 
 from fleet.scenario import value_types as v
 from fleet.scenario.faults import of_motion
-from fleet.scenario.faults.kind import OfVehicles, Part, SomeVehicles, Strength, Surroundings, of_network, of_world
+from fleet.scenario.faults.kind import Part, SomeVehicles, Strength, Surroundings, VehicleFaultKind
+from fleet.scenario.faults.kind import network_fault, world_fault
 from netem.fault_kinds import WorldFaultKind
 from netem.wire.messages import TimedFault
 
@@ -237,7 +238,7 @@ class SquallKeys(SomeVehicles):
     force: v.Force = 0.0
 
 
-class SquallFault(OfVehicles):
+class SquallFault(VehicleFaultKind):
     """A push to the north, under which nothing is heard."""
 
     value = SquallKeys
@@ -249,8 +250,8 @@ class SquallFault(OfVehicles):
 
     def parts(self, values: Any, times: TimedFault, around: Surroundings) -> list[Part]:
         who = self.vehicles(values)
-        push = of_world(times, WorldFaultKind.WRENCH, who, (values.force, 0.0, 0.0, 0.0, 0.0))
-        return [push, of_network(times, "deaf", vehicles=who)]
+        push = world_fault(times, WorldFaultKind.WRENCH, who, (values.force, 0.0, 0.0, 0.0, 0.0))
+        return [push, network_fault(times, "deaf", vehicles=who)]
 
     def values_of_strength(self, strength: Strength) -> dict[str, str]:
         return {"force": f"{strength.between(1, 10):g} N"}
@@ -360,7 +361,7 @@ def test_deaths_of_others_are_refused() -> None:
     lockstep = Lockstep(world())
     lockstep.grant(5)
     assert lockstep.end(2, 1) == []  # another incarnation's
-    assert not lockstep.state.without_agent(2)
+    assert not lockstep.state.lacks_agent(2)
 
 
 def run(folder: Path, *overrides: str, in_process: bool = True) -> Result:

@@ -19,7 +19,7 @@ from fleet.analysis.link_shares import effective_loss, link_lines
 from fleet.analysis.preflight import warnings
 from fleet.analysis.randomness import may_draw
 from fleet.errors import ScenarioError
-from fleet.scenario.loading import changed, parse_scenario
+from fleet.scenario.loading import parse_scenario, with_overrides
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.data_files import DataFileError
 from fleet.scenario.sections.trace_table import TraceRow, TraceTable, load_trace, read_csv
@@ -56,13 +56,13 @@ def test_each_word_of_a_preset_has_its_source_and_the_record_has_the_words(name:
     preset = link_presets()[name]
     words = [word for word in preset.condition.split() if word in WORDS]
     assert words == list(preset.sources) and all(map(len, preset.sources.values()))
-    assert print_condition(preset.parsed()) == preset.condition
+    assert print_condition(preset.parse()) == preset.condition
     found = small(f"network.links={{1->2: {{preset: {name}}}}}")
-    assert found.conditions == {(1, 2): preset.parsed()}
+    assert found.conditions == {(1, 2): preset.parse()}
     assert f"1->2: {preset.condition}" in found.to_yaml()
     assert read_back(found) == found
     lossy = small(f"network.links={{1->2: {{preset: {name}}}}}", "network.links.1->2.loss=3 %")
-    assert lossy.conditions[1, 2] == replace(preset.parsed(), loss=0.03)
+    assert lossy.conditions[1, 2] == replace(preset.parse(), loss=0.03)
 
 
 # --- states -----------------------------------------------------------------
@@ -112,8 +112,8 @@ def test_a_trace_is_read_exactly_and_carried_along(tmp_path: Path) -> None:
     assert trace == LinkTrace(rows, (0, 2_500_000_000, 3 * SECOND), 3_500_000_000)
     again = read_back(s)
     (tmp_path / "log.csv").write_text(LOG.replace("412.5", "1"))
-    assert changed(s, ["seed=2"]).netem_config.changing[1, 2].conditions[0].delay_ns == 1_000_000
-    assert changed(again, ["seed=2"]).netem_config.changing == s.netem_config.changing
+    assert with_overrides(s, ["seed=2"]).netem_config.changing[1, 2].conditions[0].delay_ns == 1_000_000
+    assert with_overrides(again, ["seed=2"]).netem_config.changing == s.netem_config.changing
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,10 @@ import fleet
 from fleet.analysis.preflight import warnings
 from fleet.errors import FleetError, ScenarioError
 from fleet.execution.external_agents import refuse
-from fleet.execution.fault_request import RefusedError, checked_fault
+from fleet.execution.fault_request import RefusedError, check_fault
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
-from fleet.scenario.sections.node_names import named, numbered
+from fleet.scenario.sections.node_names import to_names, to_numbers
 from fleet.scenario.text.overrides import Override
 from netem.link_states import LinkStates
 
@@ -136,8 +136,8 @@ def test_a_selector_of_names_with_dashes_and_dots_means_what_numbers_do(names: l
     text = "".join(f"{{{n}}}{joint}" for n, joint in zip(numbers, [*joints, ""], strict=False)).rstrip("->,/< ")
     with_names = re.sub(r"{(\d)}", lambda found: names[int(found[1]) - 1], text)
     with_numbers = re.sub(r"[{}]", "", text)
-    assert numbered(with_names, names) == with_numbers
-    assert named(with_numbers, names) == with_names
+    assert to_numbers(with_names, names) == with_numbers
+    assert to_names(with_numbers, names) == with_names
 
 
 @pytest.mark.parametrize(
@@ -298,7 +298,7 @@ def test_what_belongs_to_nodes_means_nothing_without_them() -> None:
 
 @pytest.mark.parametrize("text", ["a / b,shore", "a->b", "*->shore", "halves", "isolate:b", "delay 300ms", "a.csv"])
 def test_a_selector_and_back(text: str) -> None:
-    assert named(numbered(text, list(NODES)), list(NODES)) == text
+    assert to_names(to_numbers(text, list(NODES)), list(NODES)) == text
 
 
 def test_a_queue_that_a_long_delay_fills_is_doubted() -> None:
@@ -350,7 +350,7 @@ def test_a_wrong_selector_is_told_in_names(fault: dict[str, str], expected: str)
     programs = {"*": {"run": "x"}}
     assert expected in mistakes(programs=programs, faults=[{"at": "1 s"} | fault])
     with pytest.raises(RefusedError, match=re.escape(expected)):
-        checked_fault(fault, 1, scenario(programs=programs))
+        check_fault(fault, 1, scenario(programs=programs))
 
 
 @pytest.mark.parametrize(

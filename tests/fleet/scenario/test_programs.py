@@ -18,8 +18,15 @@ from fleet.scenario.loading import parse_scenario
 from fleet.scenario.programs import admit_programs
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.control import AgentSection
-from fleet.scenario.schema.programs import PLACEHOLDERS, filled, path_of, programs_of, struct_of, wanted
-from fleet.scenario.sections.node_signals import node_layout, told_by
+from fleet.scenario.schema.programs import (
+    PLACEHOLDERS,
+    expected_ending,
+    fill_placeholders,
+    path_of,
+    programs_of,
+    struct_of,
+)
+from fleet.scenario.sections.node_signals import node_layout, signals_of_node
 from fleet.scenario.trust import Policy
 from world.plugins.trust import trusting
 
@@ -63,7 +70,7 @@ def test_the_last_entry_that_fits_says_what_a_program_has_to_do(check: Any, expe
     found = stack(programs={"m*": {"run": "a"}, "m1/nav": {"run": "b"}}, checks={"programs": check})
     judged = found.spec.checks.programs
     names = programs_of(found.spec.programs or {}, found.nodes)
-    assert {name: wanted(judged, name, node) for name, node, _ in names} == expected
+    assert {name: expected_ending(judged, name, node) for name, node, _ in names} == expected
     assert parse_scenario(found.to_yaml(), "again.yaml").spec.checks.programs == judged
 
 
@@ -110,11 +117,14 @@ def test_only_known_placeholders_are_filled(text: str, values: dict[str, int]) -
     expected = text
     for name in PLACEHOLDERS:
         expected = expected.replace(f"{{{name}}}", str(values.get(name, f"{{{name}}}")))
-    assert filled(text, values) == expected
+    assert fill_placeholders(text, values) == expected
 
 
 def test_what_is_filled_in_is_not_filled_in_again() -> None:
-    assert filled('{"a": {node}} {listen} {no}', {"node": "{number}", "number": 3}) == '{"a": {number}} {listen} {no}'
+    assert (
+        fill_placeholders('{"a": {node}} {listen} {no}', {"node": "{number}", "number": 3})
+        == '{"a": {number}} {listen} {no}'
+    )
 
 
 @pytest.mark.parametrize(
@@ -143,7 +153,7 @@ def test_a_layout_is_that_of_pythons_struct(kinds: list[str], data: st.DataObjec
 def test_a_signal_is_that_of_its_nodes_in_the_order_of_the_file() -> None:
     signals = {"b": {"line": NUMBER, "of": "m*"}, "a": {"line": "x", "count": "yes", "unit": "1"}}
     found = stack(programs={"m*": {"run": "a"}}, signals=signals)
-    assert [list(told_by(found.spec, i)) for i in (1, 2, 3)] == [["b", "a"], ["b", "a"], ["a"]]
+    assert [list(signals_of_node(found.spec, i)) for i in (1, 2, 3)] == [["b", "a"], ["b", "a"], ["a"]]
     assert [signal.name for signal in node_layout(found.spec, 1).control] == ["b", "a"]
 
 

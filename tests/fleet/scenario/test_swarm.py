@@ -9,7 +9,7 @@ from statistics import mean
 import pytest
 from small_scenario import read_back, small
 
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.quantities import vehicle_numbers
 from fleet.scenario.faults.kinds import KINDS
 from fleet.scenario.loading import load_scenario
@@ -17,8 +17,8 @@ from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
 from fleet.scenario.schema.nemesis import WORDS, NemesisPick
 from fleet.scenario.sections import liveness, nemesis_targets, swarm
-from fleet.scenario.sections.graph import beside, reached
-from fleet.scenario.sections.nemesis import within_limit
+from fleet.scenario.sections.graph import neighbours, reachable
+from fleet.scenario.sections.nemesis import keep_within_limit
 from fleet.scenario.sections.swarm import DrawnFault
 from netem.fault_kinds import WorldFaultKind
 
@@ -27,7 +27,7 @@ LONG = ("duration=100 s", "graph={shape: ring}", "vehicles=6", "nemesis=swarm")
 
 
 def drawn(s: Scenario) -> list[DrawnFault]:
-    return swarm.draw(s.undrawn.nemesis, s.ground)
+    return swarm.draw(s.undrawn.nemesis, s.targets)
 
 
 def test_the_seed_draws_kinds_number_beginning_length_and_strength() -> None:
@@ -61,10 +61,10 @@ def test_what_is_drawn_is_a_list_before_the_run_and_makes_the_same_run() -> None
         seen |= {fault.kind.name for fault in s.spec.faults}
         again = read_back(s)
         assert again.undrawn.nemesis is None
-        result = judged(s)
+        result = run_loaded(s)
         assert result.status in ("pass", "check_failed"), result.reason
         if seed < 3:
-            assert judged(again).digest == result.digest
+            assert run_loaded(again).digest == result.digest
     assert seen == {*WORDS, "link"} - {"loss", "delay", "rate"}
 
 
@@ -74,7 +74,7 @@ def aimed(s: Scenario, *faults: tuple[str, str, float, float]) -> list[str]:
         DrawnFault(n, NemesisPick.model_validate({"drawn": kind}), int(at * S), int(lasts * S), aim)
         for n, (kind, aim, at, lasts) in enumerate(faults, start=1)
     ]
-    written = swarm.written(those, s.ground)
+    written = swarm.to_sections(those, s.targets)
     return [str(getattr(fault, fault.kind.name)) for fault in written]
 
 
@@ -89,7 +89,7 @@ def test_aims_go_by_the_graph_and_by_what_was_before() -> None:
     line = small(*LONG, "graph={shape: path}", "vehicles=3")
     assert aimed(line, ("partition", "bridge", 1, 1))[0] in ("1 / 2,3", "1,2 / 3")
     ring = small(*LONG)
-    assert nemesis_targets.bridges(frozenset(ring.ground.pairs)) == ()
+    assert nemesis_targets.bridges(frozenset(ring.targets.pairs)) == ()
     # A ring has no bridge; while one pair is cut every other one is.
     (text,) = {t for t in aimed(ring, ("down", "any", 1, 9), ("partition", "bridge", 2, 1)) if "/" in t}
     assert all(vehicle_numbers(part) for part in text.split("/"))
@@ -101,10 +101,10 @@ def test_bridges_are_the_pairs_without_which_more_parts_are() -> None:
     """The law itself, by trying, on 60 random graphs."""
     for seed in range(60):
         s = small("vehicles=8", "graph={shape: random, probability: 0.15}", f"seed={seed}", "nemesis=swarm")
-        pairs = frozenset(s.ground.pairs)
+        pairs = frozenset(s.targets.pairs)
 
         def parts(some: frozenset[tuple[int, int]]) -> int:
-            return len({min(reached([i], beside(some))) for i in range(1, 9)})
+            return len({min(reachable([i], neighbours(some))) for i in range(1, 9)})
 
         assert nemesis_targets.bridges(pairs) == tuple(sorted(p for p in pairs if parts(pairs - {p}) > parts(pairs)))
 
@@ -118,9 +118,9 @@ CHECKS = (
 def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
     for seed in range(20):
         s = small(*LONG, "nemesis=liveness", CHECKS, f"seed={seed}")
-        core = set(liveness.core(s.undrawn.nemesis, s.ground))
-        inside = [pair for pair in s.ground.pairs if set(pair) <= core]
-        assert len(core) == 4 and reached([min(core)], beside(inside)) == core
+        core = set(liveness.core(s.undrawn.nemesis, s.targets))
+        inside = [pair for pair in s.targets.pairs if set(pair) <= core]
+        assert len(core) == 4 and reachable([min(core)], neighbours(inside)) == core
         lasting = [fault for fault in s.spec.faults if fault.for_ is None]
         hit = {int(str(getattr(fault, fault.kind.name)).removeprefix("isolate:")) for fault in lasting}
         assert hit == {1, 2, 3, 4, 5, 6} - core
@@ -132,7 +132,7 @@ def test_liveness_heals_a_core_and_leaves_the_others_broken() -> None:
         assert error is not None and (set(vehicle_numbers(error.vehicles or "")), error.after) == (core, 60 * S)
         read_back(s)
     led = small(*LONG, "graph={shape: path, reference: [1]}", "knows_reference=false", "nemesis=liveness")
-    assert led.undrawn.nemesis is not None and 1 in liveness.core(led.undrawn.nemesis, led.ground)
+    assert led.undrawn.nemesis is not None and 1 in liveness.core(led.undrawn.nemesis, led.targets)
 
 
 def test_vehicles_that_lack_an_instrument_are_not_hit_there() -> None:
@@ -140,7 +140,7 @@ def test_vehicles_that_lack_an_instrument_are_not_hit_there() -> None:
     s = small(*LONG, some, "nemesis={mode: swarm, mean: 1 s, pick: [clock]}")
     assert {i for fault in s.spec.faults for i in fault.kind.vehicles(fault.values)} == {2}
     plain = small(*LONG)
-    assert not {"clock", "compass"} & {pick.drawn for pick in swarm.picks_of(plain.undrawn.nemesis, plain.ground)}
+    assert not {"clock", "compass"} & {pick.drawn for pick in swarm.picks_of(plain.undrawn.nemesis, plain.targets)}
     ideal = load_scenario("ideal", ["nemesis={mode: swarm, mean: 1 s}"])
     assert {fault.kind.name for fault in ideal.spec.faults} <= set(WorldFaultKind)
 
@@ -168,7 +168,7 @@ def test_what_goes_beyond_is_left_out() -> None:
               fault("3 s", kill="2", **{"for": "9 s"}), fault("4 s", down="1->2"), fault("5 s", pause="3")]  # fmt: skip
 
     def kept(most: int | None, *own: FaultSection) -> list[bool]:
-        left = within_limit(most, faults, own)
+        left = keep_within_limit(most, faults, own)
         return [one in left for one in faults]
 
     assert kept(None) == [True] * 5

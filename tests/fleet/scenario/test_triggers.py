@@ -12,7 +12,7 @@ from fleet.checks.triggers import Triggers
 from fleet.checks.values import LoggedValues
 from fleet.errors import ScenarioError
 from fleet.execution.triggered import resolve_triggers
-from fleet.execution.whole_run import judged
+from fleet.execution.whole_run import run_loaded
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.trust import Policy
@@ -98,8 +98,8 @@ def test_the_run_is_that_of_the_faults_at_their_times(seed: int, changes: tuple[
     ordinary = resolve_triggers(scenario)
     assert not ordinary.spec.triggers and len(ordinary.spec.faults) >= 4
     assert resolve_triggers(ordinary) is ordinary
-    result = judged(scenario)
-    assert result.digest == judged(ordinary).digest
+    result = run_loaded(scenario)
+    assert result.digest == run_loaded(ordinary).digest
     bare = _BareRun(scenario)
     verdicts = bare.to_end(None)
     assert bare.triggers is not None and bare.triggers.begun == ordinary.spec.faults

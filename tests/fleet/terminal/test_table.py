@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console as Terminal
 
-from fleet.terminal.table import TerminalColumn, columns, fitting, show, shown, width
+from fleet.terminal.table import TerminalColumn, columns, fitting, show, shown_rows, width
 from fleet.terminal.width import say
 
 COLUMNS = [
@@ -79,7 +79,7 @@ def test_columns_of_rows() -> None:
 
 
 def test_a_table_hides_no_row_behind_one_row() -> None:
-    assert [shown(count, 4) for count in range(8)] == [0, 1, 2, 3, 4, 5, 4, 4]
+    assert [shown_rows(count, 4) for count in range(8)] == [0, 1, 2, 3, 4, 5, 4, 4]
 
 
 def test_columns_that_must_be_there_are_whole_in_a_file() -> None:

@@ -16,7 +16,7 @@ from any_message import ANY_MESSAGE, ARRAY, KINDS, OR_NIL, RECORDS, messages
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fleet.addons.hosts.protocol.page import declared, fields_of, records, texts
+from fleet.addons.hosts.protocol.page import fields_of, message_kinds, records, texts
 from netem.errors import MalformedMessage
 from netem.wire.codec import decode, encode, expect
 from netem.wire.control import read_map
@@ -79,7 +79,7 @@ def spoilt(wire: str) -> Iterator[Any]:
 @given(data=st.data())
 def test_round_trip(kind: str, data: st.DataObject) -> None:
     """decode is the left inverse of encode, to the last bit and the type; and there is one encoding of a message."""
-    message = data.draw(messages(declared()[kind][0]))
+    message = data.draw(messages(message_kinds()[kind][0]))
     wire = encode(message)
     found = decode(wire)
     assert found == message
@@ -91,7 +91,7 @@ def test_round_trip(kind: str, data: st.DataObject) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_field_is_declared_with_its_meaning(kind: str) -> None:
     """The protocol page is made of these; a field without a declaration would be read unchecked."""
-    cls, route = declared()[kind]
+    cls, route = message_kinds()[kind]
     assert list(fields_of(cls)) == list(cls.__struct_fields__)
     assert all(field.meaning for field in fields_of(cls).values())
     assert route.key
@@ -152,7 +152,7 @@ def test_reals_keep_their_bits(value: float) -> None:
 
 def test_every_record_is_named_by_a_field() -> None:
     """A record that no message can carry would be a heading of the protocol page about nothing."""
-    named = {field.wire for cls, _ in declared().values() for field in fields_of(cls).values()}
+    named = {field.wire for cls, _ in message_kinds().values() for field in fields_of(cls).values()}
     named |= {field.wire for cls in records().values() for field in fields_of(cls).values()}
     assert all(f"{name}[*]" in named or f"{name}{OR_NIL}" in named for name in records())
 
@@ -164,7 +164,7 @@ def test_every_record_is_named_by_a_field() -> None:
 def test_every_field_refuses_what_it_is_not(kind: str) -> None:
     """Each field of each message, nested records included: NaN, infinities, negative or huge numbers, wrong types and
     wrong lengths. The same message with plain values passes, so it is the spoilt value that is refused."""
-    fields = list(fields_of(declared()[kind][0]).items())
+    fields = list(fields_of(message_kinds()[kind][0]).items())
     good = [plainest(field.wire) for _, field in fields]
     decode(msgpack.packb([kind, *good]))
     for index, (name, field) in enumerate(fields):
@@ -179,7 +179,7 @@ def test_every_field_refuses_what_it_is_not(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_wrong_number_of_fields(kind: str) -> None:
-    cls = declared()[kind][0]
+    cls = message_kinds()[kind][0]
     good = [plainest(field.wire) for field in fields_of(cls).values()]
     may_lack = len(cls.__struct_defaults__)
     if may_lack:
@@ -319,7 +319,7 @@ def test_control_requests_are_maps_or_refused(wire: bytes) -> None:
 @given(ANY_MESSAGE, st.sets(st.sampled_from(KINDS), min_size=1))
 def test_only_the_expected_kinds(message: Message, kinds: set[str]) -> None:
     """On a key only its own messages are taken: a frame on the key of commands is refused however valid it is."""
-    classes = tuple(declared()[kind][0] for kind in sorted(kinds))
+    classes = tuple(message_kinds()[kind][0] for kind in sorted(kinds))
     if isinstance(message, classes):
         assert expect(encode(message), *classes) == message
     else:

@@ -53,7 +53,7 @@ def test_a_replayed_error_is_that_of_the_trace() -> None:
     truth = (10.0, 20.0, 30.0, 0.0, 0.0, 0.7, 0.0, 0.0, 0.0, 0.0)
     found = []
     for _ in range(5):
-        found.append(replayed.believed(truth, ()))
+        found.append(replayed.belief(truth, ()))
         replayed.step(truth, truth, (0.0, 0.0, 0.0), (), 0.0)
     places = [(11.0, 20.0, 30.0), (11.0, 20.0, 30.0), (13.0, 19.0, 30.5), (15.0, 18.0, 31.0), (15.0, 18.0, 31.0)]
     assert np.array([eta[:3] for eta, _, _ in found]) == pytest.approx(np.array(places))

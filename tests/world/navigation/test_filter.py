@@ -54,7 +54,7 @@ def voyage(
         before, after = after, course(k + 1, turning)
         navigator.step(before, after, current, faults, 0.0)
     navigator.filter.settle()
-    (x, y, z, _, psi), _, _ = navigator.believed(after, ())
+    (x, y, z, _, psi), _, _ = navigator.belief(after, ())
     return navigator, np.array([x, y, z, psi]) - np.array([*after[:3], after[4]]), [*navigator.take_fixes()]
 
 

@@ -13,7 +13,7 @@ from repository import ROOT
 from fleet.scenario.sections.vehicle_files import load_vehicle
 from world.api import PlantConfig, Vec3, Vec6, Water
 from world.plants.classes import plant_class
-from world.plants.remus100 import BODY, FIN_LIMIT, HULLS, N_LIMIT, Hull, Remus100, allocate, moved, revolution
+from world.plants.remus100 import BODY, FIN_LIMIT, HULLS, N_LIMIT, Hull, Remus100, advance, allocate, revolution
 
 MODEL = load_vehicle("remus100")
 STILL = Water((0.0, 0.0, 0.0), (0.0,) * 6)
@@ -73,7 +73,7 @@ def circle(rudder: float, hull: Hull) -> tuple[float, float]:
     """Diameter [m] and yaw rate [deg/s] of the steady turn at 1200 rpm with the rudder at an angle [deg]."""
     state: tuple[float, ...] = (*PLACE, *CRUISE, 1200.0, 0.0, 0.0)
     for _ in range(3000):
-        state = moved(state, (1200.0, radians(rudder), 0.0), STILL, 0.02, hull)
+        state = advance(state, (1200.0, radians(rudder), 0.0), STILL, 0.02, hull)
     return 2.0 * hypot(state[6], state[7]) / state[11], degrees(state[11])
 
 
@@ -113,7 +113,7 @@ def test_prestero_s_hull_does_not_keep_its_course_by_itself() -> None:
     for hull, turns in (("fossen", False), ("prestero", True)):
         state: tuple[float, ...] = (*PLACE, *CRUISE[:5], 0.01, 0.0, 0.0, 0.0)  # the propeller stands
         for _ in range(150):
-            state = moved(state, (0.0, 0.0, 0.0), STILL, 0.02, hull)
+            state = advance(state, (0.0, 0.0, 0.0), STILL, 0.02, hull)
         assert (state[11] > 0.02) == turns
 
 
@@ -174,7 +174,7 @@ def test_fins_have_no_force_at_low_speed_and_are_not_thrown_about() -> None:
 def test_lags_are_those_of_motor_and_servo() -> None:
     state: tuple[float, ...] = (*PLACE, *CRUISE, 0.0, 0.0, 0.0)
     for _ in range(10):
-        state = moved(state, (1000.0, 0.1, -0.2), STILL, 0.01)
+        state = advance(state, (1000.0, 0.1, -0.2), STILL, 0.01)
     assert state[12:] == pytest.approx((1000.0 * (1 - np.exp(-0.1)), 0.1 * (1 - np.exp(-1)), -0.2 * (1 - np.exp(-1))))
 
 
@@ -214,7 +214,7 @@ def test_what_it_does_to_port_it_does_to_starboard(hull: Hull) -> None:
     def turn(rudder: float) -> tuple[float, ...]:
         state: tuple[float, ...] = (*PLACE, *CRUISE, 0.0, 0.0, 0.0)  # the propeller stands: its torque is one-sided
         for _ in range(500):
-            state = moved(state, (0.0, rudder, 0.0), STILL, 0.01, hull)
+            state = advance(state, (0.0, rudder, 0.0), STILL, 0.01, hull)
         return state
 
     port, starboard = turn(-0.2), turn(0.2)

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from secrets import token_hex
 from typing import Any
 
@@ -23,18 +22,16 @@ import msgpack
 
 from agents import payload
 from agents.join_file import JoinFile
+from fleet.addons.hosts.protocol.emulated_fleet import EmulatedFleet
 from fleet.errors import FleetError
 from fleet.execution.rendezvous import Rendezvous
 from fleet.processes.ports import free_port
 from fleet.scenario.scenario import Scenario
 from netem.errors import BusError, MalformedMessage, OutOfPlace
 from netem.private_folder import PrivateFolder
-from netem.wire.bus import Bus, Respond
-from netem.wire.certificate_router import CertificateRouter
-from netem.wire.codec import decode, encode
-from netem.wire.credentials import Credentials, Listener, agent_role, generate
+from netem.wire.codec import encode
+from netem.wire.credentials import agent_role, generate
 from netem.wire.keys import Keys
-from netem.wire.mailbox import Probes
 from netem.wire.messages import (
     PROTOCOL_VERSION,
     RUN_OVER,
@@ -45,14 +42,11 @@ from netem.wire.messages import (
     Inbox,
     Message,
     Nav,
-    Note,
     Transmission,
 )
 
-# The bad input of `fleet protocol check`: payloads that a network has damaged, and bytes that are no message.
 
-
-def damaged(src: int, sent: int, eta: tuple[float, ...]) -> tuple[Delivery, ...]:
+def damaged_deliveries(src: int, sent: int, eta: tuple[float, ...]) -> tuple[Delivery, ...]:
     """A neighbour's payloads of a tick, and the same payloads after a damaging network. `eta`: the pose of who receives
     it [m, rad]; the neighbour is 5 m to its north.
     """
@@ -116,97 +110,6 @@ class ProtocolCheck:
         if self.passed is None:
             return f"----  {self.what}: not reached"
         return f"FAIL  {self.what}: expected {self.expected}; got {self.got}"
-
-
-# All of a run that one agent sees, in one session: router, world, netem and console, for a canned exchange.
-
-
-MOST_NOTES = 100
-KINDS: dict[str, tuple[type, ...]] = {"cmd": (Hello, Command), "tx": (Hello, Transmission), "note": (Note,)}
-
-
-class EmulatedFleet:
-    """Answers every cfg query and hello of the agent, keeps its notes, and hands out the rest in order."""
-
-    def __init__(
-        self,
-        endpoint: str,
-        keys: Keys,
-        vehicle: int,
-        user: Credentials,
-        private: Path,
-        answer: dict[str, Any],
-        certified: Listener | None = None,
-    ) -> None:
-        """Open the router and subscribe to what the agent puts. `private` is a directory of mode 0700, as for
-        `Bus.host`; `answer` that to the query of cfg; `certified` where the agent may join with a certificate alone, or
-        None. Raises BusError if the endpoint is taken.
-        """
-        bus = self._bus = Bus.host(endpoint, keys, (vehicle,), {user.user: user}, private)
-        self._second = CertificateRouter(bus, keys, (vehicle,), certified) if certified else None
-        self._vehicle, self._probes = vehicle, {"cmd": Probes(), "tx": Probes()}
-        came: SimpleQueue[tuple[str, bytes]] = SimpleQueue()
-        put = came.put
-        self._came = came
-        self.here = False  # whether the agent holds its token
-        self.notes: list[str] = []  # texts of the agent's Note messages
-        packed = msgpack.packb(answer)
-
-        def receive(key: str, data: bytes) -> None:
-            kind = key.split("/")[-2]
-            if kind in KINDS:  # the rest is our own
-                put((kind, data))
-
-        def configure(key: str, _: bytes, respond: Respond) -> None:
-            respond(packed)
-            put(("cfg", b""))
-
-        # Starred as in a run: the router tells an agent of subscribers by their own expression.
-        for key in (keys.cmd("*"), keys.tx("*")):
-            bus.subscribe(key, lambda *_: None)
-        # Both in one, because only what one subscriber gets comes in the order in which it was put.
-        bus.subscribe(keys.every(vehicle), receive)
-        bus.subscribe(keys.note("*"), lambda _, data: put(("note", data)))
-        bus.answer(keys.cfg("*"), configure)
-        token = keys.alive(agent_role(vehicle))
-        bus.watch_tokens(token, lambda _, alive: put(("token", b"1" if alive else b"")))
-        self.nav: Callable[[bytes], None] = bus.publisher(keys.nav(vehicle))
-        self.rx: Callable[[bytes], None] = bus.publisher(keys.rx(vehicle))
-
-    def take(self, timeout_s: float) -> tuple[str, Message | None] | None:
-        """The next thing that came: `cmd` or `tx` with a message, `cfg` or `token` with none; None when nothing did.
-        Raises MalformedMessage if the agent put what does not belong on that key; OutOfPlace if it sends hello more
-        often than world and netem would answer.
-        """
-        deadline = time.monotonic() + timeout_s
-        while (left := deadline - time.monotonic()) > 0:
-            try:
-                key, data = self._came.get(timeout=left)
-            except Empty:
-                break
-            if key == "cfg":
-                return key, None
-            if key == "token":
-                self.here = bool(data)
-                return key, None
-            message = decode(data)
-            if not isinstance(message, KINDS[key]):
-                raise MalformedMessage(key, f"a {type(message).__name__.lower()} on {key}")
-            if isinstance(message, Note):
-                if len(self.notes) < MOST_NOTES:
-                    self.notes.append(message.text)
-                continue
-            if isinstance(message, Hello) and not message.echo:
-                self._probes[key].spend(self._vehicle)
-                role, echo = ("world", self.nav) if key == "cmd" else ("netem", self.rx)
-                echo(encode(Hello(role, 0, 0, PROTOCOL_VERSION, True)))
-            return key, message
-        return None
-
-    def close(self) -> None:
-        if self._second is not None:
-            self._second.close()
-        self._bus.close()
 
 
 ANSWER_S = 5.0  # until an answer counts as missing
@@ -310,8 +213,6 @@ class Examination:
             except OutOfPlace as error:
                 self._fail(HELLO, str(error.expected), error.got)
 
-    # --------------------------------------------------------------------------------------- verdicts
-
     def _fail(self, check: str, expected: str, got: object) -> None:
         self._failed.setdefault(check, (expected, str(got)))
 
@@ -323,8 +224,6 @@ class Examination:
             for check in CHECKS
         ]
 
-    # ------------------------------------------------------------------------------------- the script
-
     def _examine(self, timeout_s: float, begin: int) -> None:
         m = self._m
         self._handshake(timeout_s)
@@ -334,7 +233,9 @@ class Examination:
         eta, _ = self._state
         self._send_nav(begin + 1)
         self._silence(LATE, begin + 1, f"no answer to nav {begin + 1} before an rx that covers it")
-        self._send_inbox(damaged(self._neighbours[0] if self._neighbours else self._i + 1, begin, eta), more=True)
+        self._send_inbox(
+            damaged_deliveries(self._neighbours[0] if self._neighbours else self._i + 1, begin, eta), more=True
+        )
         self._silence(PARTS, begin + 1, "no answer while more of the inbox is to come")
         self._send_inbox()
         self._answer(begin + 1, DAMAGED)
@@ -387,7 +288,7 @@ class Examination:
                             READY, "hello with echo set on cmd after one without it on cmd and tx", f"it on {key}"
                         )
             elif message is not None:
-                self._fail(UNASKED, "nothing but hello before the first nav", _shown(message))
+                self._fail(UNASKED, "nothing but hello before the first nav", _show(message))
             asked = asked or key == "cfg"
         for check, done, expected_, got_ in (
             (ASKS, asked, f"a query on {self._keys.cfg(self._i)}", "none"),
@@ -420,16 +321,16 @@ class Examination:
             match taken[1]:
                 case Transmission() as transmission:
                     if tick % self._m:
-                        self._fail(TRANSMITS, f"no tx at tick {tick}: rounds are {self._m} ticks", _shown(transmission))
+                        self._fail(TRANSMITS, f"no tx at tick {tick}: rounds are {self._m} ticks", _show(transmission))
                     elif transmitted or (transmission.incarnation, transmission.tick) != (LIFE, tick):
-                        self._fail(TRANSMITS, f"one tx of incarnation {LIFE}, tick {tick}", _shown(transmission))
+                        self._fail(TRANSMITS, f"one tx of incarnation {LIFE}, tick {tick}", _show(transmission))
                     transmitted = True
                 case Command() as command:
                     if command.incarnation == LIFE and command.tick < tick:
-                        self._fail(UNASKED, f"one cmd per nav; tick {tick} is due", _shown(command))
+                        self._fail(UNASKED, f"one cmd per nav; tick {tick} is due", _show(command))
                         continue
                     if (command.incarnation, command.tick) != (LIFE, tick):
-                        self._fail(COMMANDS, f"cmd of incarnation {LIFE}, tick {tick}", _shown(command))
+                        self._fail(COMMANDS, f"cmd of incarnation {LIFE}, tick {tick}", _show(command))
                         raise _BrokenOffError
                     if len(command.telemetry) not in (0, self._telemetry):
                         size = f"0 or {self._telemetry} values of telemetry"
@@ -446,9 +347,9 @@ class Examination:
         while (taken := self._take(deadline)) is not None:
             message = taken[1]
             if isinstance(message, Command) and message.incarnation == LIFE and message.tick < tick:
-                self._fail(UNASKED, "one cmd per nav", f"another {_shown(message)}")
+                self._fail(UNASKED, "one cmd per nav", f"another {_show(message)}")
             elif message is not None and not isinstance(message, Hello):
-                self._fail(check, expected, _shown(message))
+                self._fail(check, expected, _show(message))
                 raise _BrokenOffError
             if taken[0] == "token" and not self._fleet.here:
                 self._fail(check, "that it stays", "its token is gone")
@@ -464,7 +365,7 @@ class Examination:
                 self._fail(ENDS, "that its token goes", f"it is there {ANSWER_S:g} s later")
                 return
             if taken[1] is not None and not isinstance(taken[1], Hello):
-                self._fail(UNASKED, "nothing after the end", _shown(taken[1]))
+                self._fail(UNASKED, "nothing after the end", _show(taken[1]))
 
     def _send_nav(self, tick: int) -> None:
         self._fleet.nav(encode(Nav(LIFE, tick, *self._state, *self._more)))
@@ -475,7 +376,7 @@ class Examination:
             self._known += self._m
 
 
-def _shown(message: Message) -> str:
+def _show(message: Message) -> str:
     match message:
         case Command() | Transmission():
             kind = "cmd" if isinstance(message, Command) else "tx"

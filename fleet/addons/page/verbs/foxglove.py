@@ -63,11 +63,11 @@ def _serve_log(source: LogSource, host: str, port: int | None, line: StatusLine,
     from fleet.addons.page.foxglove_log import LogBridge  # needs foxglove-sdk
 
     with showing(f"reading {source.path}") as on_progress:
-        tape = SeekableLog(source.path, on_progress)
+        log = SeekableLog(source.path, on_progress)
     with ending() as sessions:
-        if tape.missing:
-            line.print(f"warning: {source.path}: {tape.missing}")
-        bridge = LogBridge(tape, host, port, rate=rate, loop=loop)
+        if log.missing:
+            line.print(f"warning: {source.path}: {log.missing}")
+        bridge = LogBridge(log, host, port, rate=rate, loop=loop)
         sessions.append(bridge.server)
         line.print(f"the log {source.path}")
         _say_where(bridge.server, line)

@@ -53,7 +53,7 @@ def view(
 
     source = find_shown(what, rate, control=control is True, loop=loop)
     if isinstance(source, LiveSource) and control:
-        source.controlled()
+        source.open_control()
     rate = 1.0 if rate is None else rate
     if foxglove:
         from fleet.addons.page.verbs.foxglove import serve

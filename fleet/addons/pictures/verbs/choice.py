@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import click
 from click.shell_completion import CompletionItem
 
-from fleet.cli.completion import RUNS, for_the_shell
+from fleet.cli.completion import RUNS, quote_for_shell
 from fleet.cli.types import (
     VEHICLES,
     WINDOW,
@@ -19,7 +19,7 @@ from fleet.cli.types import (
     Words,
 )
 from fleet.errors import FleetError
-from fleet.mcap.other import OtherData, known_as
+from fleet.mcap.other import OtherData, find_other_data
 from fleet.option import Option
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def pictures(context: click.Context, parameter: click.Parameter, typed: str) -> 
         words += signal_names(Path(log) if log else newest_run(RUNS) or RUNS)
     except Exception:
         words = words[:]  # no log, or none that can be read: the words alone
-    return [CompletionItem(for_the_shell(before + comma + word)) for word in words if word.startswith(last)]
+    return [CompletionItem(quote_for_shell(before + comma + word)) for word in words if word.startswith(last)]
 
 
 class DrawnData(OtherData):
@@ -176,15 +176,15 @@ class DrawnData(OtherData):
         """Write the page `out` about it. Raises FleetError as `plot` does."""
 
 
-def drawn_data(path: Path) -> DrawnData | None:
+def find_drawer(path: Path) -> DrawnData | None:
     """The part that draws what lies there, such as a study or a bag. None: nobody draws it, or it is a log of a run."""
-    found = known_as(path)
+    found = find_other_data(path)
     return found if isinstance(found, DrawnData) else None
 
 
-def drawn_alike(paths: Sequence[Path]) -> DrawnData | None:
+def find_common_drawer(paths: Sequence[Path]) -> DrawnData | None:
     """What draws all of these; None: they are logs. Raises FleetError: they are not of one kind."""
-    kinds = [drawn_data(path) for path in paths]
+    kinds = [find_drawer(path) for path in paths]
     if len({type(kind) for kind in kinds}) > 1:
         one, other = (next(k for k, kind in enumerate(kinds) if (kind is None) == log) for log in (False, True))
         name = kinds[one].name  # type: ignore[union-attr]

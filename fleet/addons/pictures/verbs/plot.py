@@ -19,7 +19,7 @@ from fleet.addons.pictures.verbs.choice import (
     PictureLabels,
     PicturesFolder,
     PictureWords,
-    drawn_alike,
+    find_common_drawer,
     labels_by_name,
     pictures,
 )
@@ -76,18 +76,18 @@ def plot(
       fleet plot --no-caption --style font=serif,width=88mm --format pdf
       fleet plot studies/rough-sea-20261122-101500 --measure e_rms_m
     """
-    from fleet.addons.pictures.labels import named
+    from fleet.addons.pictures.labels import given_labels
     from fleet.addons.pictures.look import looking, parse_look
 
     look = replace(parse_look(style), caption=caption)
     paths = [log, *compare]
-    other = drawn_alike(paths)
+    other = find_common_drawer(paths)
     called = labels_by_name(labels)
     if other is not None:
         check_options(log, {*other.refused} & {*OF_STUDIES}, "studies")
         check_options(log, {*other.refused} - {*OF_STUDIES}, "logs of runs")
         with looking(look):
-            _print(other.plot(paths, out, shown, formats, named(paths, called), () if what == KINDS else what))
+            _print(other.plot(paths, out, shown, formats, given_labels(paths, called), () if what == KINDS else what))
         return
     check_options(log, OF_STUDIES, "studies")
     from fleet.addons.pictures.gallery import check_signals, write

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import click
 
-from fleet.addons.pictures.verbs.choice import OF_STUDIES, PictureChoice, drawn_data
+from fleet.addons.pictures.verbs.choice import OF_STUDIES, PictureChoice, find_drawer
 from fleet.cli.declare import command
 from fleet.cli.log_argument import check_options, newest_log
 from fleet.cli.types import (
@@ -51,7 +51,7 @@ def report(
     check_place(out, force=force)
     chosen = logs or (newest_log(),)
     for path in chosen:
-        if (other := drawn_data(path)) is None:
+        if (other := find_drawer(path)) is None:
             continue
         if len(chosen) > 1:
             raise click.UsageError(f"{path} is {other.name}: a page is about {other.name} alone, or about logs")

@@ -47,7 +47,7 @@ def repair(folder: Path, out: Path | None = None, on_progress: OnProgress = lamb
 
 
 def _write(reader: LogReader, out: Path) -> None:
-    bag = Bag(out, types_of())
+    bag = NewBag(out, types_of())
     try:
         known: set[str] = set()
         for record in reader:
@@ -65,7 +65,7 @@ def _write(reader: LogReader, out: Path) -> None:
 _FORMAT = 9  # of metadata.yaml: Iron and later; they read it, and Humble reads the MCAP file alone
 
 
-class Bag:
+class NewBag:
     """A bag that is written. `close` writes its index; `abandon` removes it."""
 
     def __init__(self, folder: Path, types: RosTypes) -> None:
@@ -132,7 +132,7 @@ def write_bag(log: Path, folder: Path, share: OnProgress = lambda _: None) -> tu
     to read."""
     types = types_of()
     reader = LogReader(log, share)
-    bag: Bag | None = None
+    bag: NewBag | None = None
     try:
         translation = Translation(types, {})
         known = 0
@@ -141,13 +141,13 @@ def write_bag(log: Path, folder: Path, share: OnProgress = lambda _: None) -> tu
                 known = len(reader.channels)
                 translation.learn({c.topic: reader.schemas.get(c.schema_id) for c in reader.channels.values()})
             for message in translation(record.topic, record.log_ns, record.data):
-                bag = bag or Bag(folder, types)
+                bag = bag or NewBag(folder, types)
                 bag.add(message)
         if bag is None:
             raise FleetError(f"{log} holds nothing that has a topic in ROS 2: it is no log of a run")
         judged = checks_judged(log)
         if judged is not None and translation.diagnostics.checks(judged["rows"]):
-            bag.add(translation.diagnosed(reader.last_ns))
+            bag.add(translation.diagnostics_message(reader.last_ns))
         bag.close()
     except BaseException:
         if bag is not None:

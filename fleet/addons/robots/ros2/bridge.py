@@ -55,7 +55,7 @@ class RosBridge:
 
     def checks(self, rows: list[dict[str, Any]]) -> None:
         if self._translation.diagnostics.checks(rows):
-            self._publish(self._translation.diagnosed(max(0, self.at_ns)))
+            self._publish(self._translation.diagnostics_message(max(0, self.at_ns)))
 
     def _publish(self, message: RosMessage) -> None:
         publisher = self._publishers[message.name]
@@ -109,11 +109,11 @@ def show_run(bridge: RosBridge, journal: LiveJournal, source: LiveSource, line: 
 
 
 def play_log(
-    bridge: RosBridge, tape: SeekableLog, keyboard: Keyboard, line: StatusLine, *, rate: float, loop: bool
+    bridge: RosBridge, log: SeekableLog, keyboard: Keyboard, line: StatusLine, *, rate: float, loop: bool
 ) -> None:
-    track = Track(tape, [number for number, channel in tape.channels.items() if is_source(channel.topic)])
+    track = Track(log, [number for number, channel in log.channels.items() if is_source(channel.topic)])
     now = time.monotonic_ns()
-    player = Player(track, 0, tape.end_ns, rate=rate, loop=loop, now=now, before=track.before)
+    player = Player(track, 0, log.end_ns, rate=rate, loop=loop, now=now, before=track.before)
 
     def publish(some: range) -> None:
         for _, entry in track.entries(some):

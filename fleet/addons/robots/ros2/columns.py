@@ -135,7 +135,7 @@ def _columns(types: RosTypes, name: str, above: tuple[str, ...], deep: int) -> I
             yield RosColumn(called, _kind(str(detail[0])), get)
         elif detail[0][0] == Nodetype.BASE and _kind(str(detail[0][1][0])) != "text":
             fixed = node == Nodetype.ARRAY
-            yield RosColumn(called, "vector" if fixed else "list", get if fixed else _listed(get))
+            yield RosColumn(called, "vector" if fixed else "list", get if fixed else _list_reader(get))
 
 
 def _kind(base: str) -> str:
@@ -152,7 +152,7 @@ def _seconds(get: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return seconds
 
 
-def _listed(get: Callable[[Any], Any]) -> Callable[[Any], Any]:
+def _list_reader(get: Callable[[Any], Any]) -> Callable[[Any], Any]:
     def listed(message: Any) -> Any:
         values = get(message)
         return values.tobytes() if values.dtype == np.uint8 else values  # as of a picture

@@ -229,7 +229,7 @@ class MessageMaker:
     def transforms(self, some: Iterable[Any]) -> Any:
         return self._new("tf2_msgs/msg/TFMessage", transforms=list(some))
 
-    def fixed(self, ned: Quaternion, vehicles: Iterable[int]) -> Any:
+    def static_transforms(self, ned: Quaternion, vehicles: Iterable[int]) -> Any:
         """The transforms that never change; `ned` turns the axes of `ned` into those of `map`."""
         nowhere = (0.0, 0.0, 0.0)
         links = [self.transform(0, vehicle_frame(i), base_link(i), nowhere, HALF_TURN_ABOUT_FORWARD) for i in vehicles]

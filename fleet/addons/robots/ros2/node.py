@@ -10,10 +10,10 @@ from typing import Any
 from fleet.addons.robots.ros2.rmw import (
     DEFAULT,
     TOKENS,
-    Attachment,
     Entity,
     EntityKind,
     Qos,
+    RmwAttachment,
     check_name,
     gid_of,
     node_token,
@@ -74,7 +74,7 @@ class RosPublisher:
         self._gid = gid_of(token)
         self._sequence = 0
         self._plain = None if qos.transient_local else bus.plain(entity.key, drop=drop)
-        self._put = bus.latched(entity.key) if self._plain is None else self._plain.put
+        self._put = bus.latched_publisher(entity.key) if self._plain is None else self._plain.put
 
     @property
     def matched(self) -> bool:
@@ -85,7 +85,7 @@ class RosPublisher:
         """Publish a message. Raises FleetError: it is none of the type."""
         self._sequence += 1
         data = self._types.encode(self._type, message)
-        self._put(data, pack(Attachment(self._sequence, wall_ns(), self._gid)))
+        self._put(data, pack(RmwAttachment(self._sequence, wall_ns(), self._gid)))
 
 
 class RosNode:
@@ -142,7 +142,7 @@ class RosNode:
                 self._tell(f"dropped a call of {service}: {error}")
                 return None
             response = self.types.encode(f"{type_name}_Response", handler(request))
-            return response, pack(Attachment(asked.sequence, wall_ns(), asked.gid))
+            return response, pack(RmwAttachment(asked.sequence, wall_ns(), asked.gid))
 
         self._bus.serve(entity.key, answer)
 
@@ -155,7 +155,7 @@ class RosNode:
         entity, gid = self._clients[service]
         self._calls += 1
         data = self.types.encode(f"{type_name}_Request", request)
-        answer = self._bus.call(entity.key, data, pack(Attachment(self._calls, wall_ns(), gid)))
+        answer = self._bus.call(entity.key, data, pack(RmwAttachment(self._calls, wall_ns(), gid)))
         return None if answer is None else self.types.decode(f"{type_name}_Response", answer)
 
     def publishers_of(self, topic: str) -> bool:

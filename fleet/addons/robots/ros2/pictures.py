@@ -20,7 +20,7 @@ from fleet.addons.pictures.axes import FEW, marks_legend
 from fleet.addons.pictures.caption import write_caption
 from fleet.addons.pictures.labels import distinct
 from fleet.addons.pictures.look import column_in
-from fleet.addons.pictures.page import Heading, Table, Text, from_here, images, render, write_page
+from fleet.addons.pictures.page import Heading, Paragraph, Table, from_here, images, render, write_page
 from fleet.addons.pictures.runs import with_gaps
 from fleet.addons.pictures.style import STYLES, THIN, Drawn, Provenance, panels
 from fleet.addons.robots.ros2.columns import RosColumns, ros_columns
@@ -52,7 +52,7 @@ _STAMP = re.compile(r"(.*\.)?stamp$|.*covariance.*")
 
 
 @dataclass
-class Bag:
+class DrawnBag:
     """A bag, of which topics with known numbers are read."""
 
     path: Path
@@ -73,14 +73,16 @@ class Bag:
         return [one.name for one in self.types[topic].columns if one.is_number and not _STAMP.match(one.name)]
 
 
-def load(paths: Sequence[Path], labels: Sequence[str | None] = (), share: OnProgress = lambda _: None) -> list[Bag]:
+def load(
+    paths: Sequence[Path], labels: Sequence[str | None] = (), share: OnProgress = lambda _: None
+) -> list[DrawnBag]:
     """Read bags. `labels`: None: the name of the directory. Raises LogReadError: one cannot be read."""
     named = [*labels, *[None] * (len(paths) - len(labels))]
     names = distinct([label or printable(path.resolve().name) for label, path in zip(named, paths, strict=True)])
     return [_load(path, name, share) for path, name in zip(paths, names, strict=True)]
 
 
-def _load(path: Path, label: str, share: OnProgress) -> Bag:
+def _load(path: Path, label: str, share: OnProgress) -> DrawnBag:
     info = read_info(path)
     reader = LogReader(log_path(path))
     for _ in reader.blocks():  # schemas may stand anywhere
@@ -95,13 +97,13 @@ def _load(path: Path, label: str, share: OnProgress) -> Bag:
             types[channel.topic] = known
     kept = {topic: frozenset(one.name for one in known.columns if one.is_number) for topic, known in types.items()}
     log = Opening(path, list(types), share, drawn=kept).read()
-    return Bag(path, label, info, log, types, info.start_s)
+    return DrawnBag(path, label, info, log, types, info.start_s)
 
 
-def draw(bags: Sequence[Bag], what: Sequence[str], window: tuple[float, float] | None) -> Iterator[Drawn]:
+def draw(bags: Sequence[DrawnBag], what: Sequence[str], window: tuple[float, float] | None) -> Iterator[Drawn]:
     """The pictures: of all topics, or of `track`, `/topic` and `/topic.field`. Raises FleetError: there is no such."""
     topics = list(dict.fromkeys(topic for bag in bags for topic in bag.types))
-    wanted = [_asked(bags, topics, word) for word in what] or [(TRACK, ""), *((topic, "") for topic in topics)]
+    wanted = [_find_field(bags, topics, word) for word in what] or [(TRACK, ""), *((topic, "") for topic in topics)]
     for topic, name in wanted[:MOST_PICTURES]:
         if topic == TRACK:
             called, title, figure = TRACK, "Positions from above, and z over time", _track(bags, window)
@@ -117,12 +119,12 @@ def draw(bags: Sequence[Bag], what: Sequence[str], window: tuple[float, float] |
         )
 
 
-def _origin(bags: Sequence[Bag], title: str) -> Provenance:
+def _origin(bags: Sequence[DrawnBag], title: str) -> Provenance:
     return Provenance(title, (("bag", " and ".join(bag.label for bag in bags)),
                               ("digest", " and ".join(bag.log.digest for bag in bags))))  # fmt: skip
 
 
-def _asked(bags: Sequence[Bag], topics: Sequence[str], word: str) -> tuple[str, str]:
+def _find_field(bags: Sequence[DrawnBag], topics: Sequence[str], word: str) -> tuple[str, str]:
     if word == TRACK:
         return TRACK, ""
     topic, _, name = word.partition(".")
@@ -136,7 +138,7 @@ def _asked(bags: Sequence[Bag], topics: Sequence[str], word: str) -> tuple[str, 
     return topic, name
 
 
-def _track(bags: Sequence[Bag], window: tuple[float, float] | None) -> Figure | str:
+def _track(bags: Sequence[DrawnBag], window: tuple[float, float] | None) -> Figure | str:
     every = [(bag, topic, POSITIONS[bag.info.topics[topic][0]]) for bag in bags for topic in bag.types
              if bag.info.topics[topic][0] in POSITIONS]  # fmt: skip
     if not every:
@@ -168,7 +170,7 @@ def _track(bags: Sequence[Bag], window: tuple[float, float] | None) -> Figure | 
     return figure
 
 
-def _signals(bags: Sequence[Bag], topic: str, name: str, window: tuple[float, float] | None) -> Figure | str:
+def _signals(bags: Sequence[DrawnBag], topic: str, name: str, window: tuple[float, float] | None) -> Figure | str:
     having = [bag for bag in bags if topic in bag.types]
     fields = [name] if name else list(dict.fromkeys(known for bag in having for known in bag.numbers(topic)))
     if not name:
@@ -194,7 +196,7 @@ def _signals(bags: Sequence[Bag], topic: str, name: str, window: tuple[float, fl
     return figure
 
 
-def _moves(bag: Bag, topic: str, name: str, window: tuple[float, float] | None) -> bool:
+def _moves(bag: DrawnBag, topic: str, name: str, window: tuple[float, float] | None) -> bool:
     if name not in bag.numbers(topic):
         return False
     _, values = bag.series(topic, name, window)
@@ -217,7 +219,7 @@ def _dashes() -> Iterator[Any]:
     return (style for style in cycle(STYLES) for _ in COLOURS)
 
 
-def _name(bags: Sequence[Bag], bag: Bag, topic: str) -> str:
+def _name(bags: Sequence[DrawnBag], bag: DrawnBag, topic: str) -> str:
     text = printable(f"{bag.label}: {topic}" if len(bags) > 1 else topic)
     return text if len(text) <= _LONGEST else f"…{text[1 - _LONGEST :]}"
 
@@ -248,12 +250,12 @@ def _page(path: Path, window: tuple[float, float] | None) -> str:
         ("size", f"{bag.info.bytes / 1e6:.3g} MB"), ("digest", bag.log.digest),
     ]  # fmt: skip
     text = f"A bag of ROS 2: {printable(str(from_here(path)))}. It has no checks and no faults, so nothing is judged."
-    blocks: list[Any] = [Text(text), Table((), facts)]
+    blocks: list[Any] = [Paragraph(text), Table((), facts)]
     if bag.info.missing:
-        blocks.append(Text(f"The bag is not whole: {printable(bag.info.missing)}", "warn"))
+        blocks.append(Paragraph(f"The bag is not whole: {printable(bag.info.missing)}", "warn"))
     if top is not None:
         blocks.append(top)
     headings = ("topic", "type", "messages", "rate [1/s]", "numbers")
     blocks += [Heading("Topics"), Table(headings, rows, "last"), Heading("Numbers"), others]
-    blocks.append(Text(f"To draw one: `fleet plot {printable(str(from_here(path)))} --what /topic`"))
+    blocks.append(Paragraph(f"To draw one: `fleet plot {printable(str(from_here(path)))} --what /topic`"))
     return render(f"Bag {bag.label}", blocks)

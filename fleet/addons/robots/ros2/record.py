@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from fleet.addons.robots.ros2.bag import Bag
+from fleet.addons.robots.ros2.bag import NewBag
 from fleet.addons.robots.ros2.rmw import DEFAULT, Entity, read_key, unpack
 from fleet.addons.robots.ros2.types import NO_HASH, RosTypes
 from fleet.replay.capture import FLUSH_NS
@@ -35,7 +35,7 @@ class BagWriter:
         is something at that place, or it cannot be made."""
         self.path, self.samples = folder, 0
         self._types, self._tell = types, tell
-        self._bag = Bag(folder, types)
+        self._bag = NewBag(folder, types)
         self._topics: dict[str, Entity | None] = {}  # by key; None: it is left out
         self._names: set[str] = set()
         self._said: set[str] = set()

@@ -38,7 +38,7 @@ SENSOR = Qos(depth=5, best_effort=True)  # rmw_qos_profile_sensor_data
 LATCHED = Qos(depth=1, transient_local=True)
 
 
-class Attachment(NamedTuple):
+class RmwAttachment(NamedTuple):
     """The data that rmw_zenoh sends beside each message, request or answer."""
 
     sequence: int  # from 1
@@ -93,18 +93,18 @@ def read_token(token: str) -> tuple[str, str, Entity] | None:
     return parts[8], parts[5], Entity(int(parts[1]), parts[9].replace("%", "/"), name, parts[11])
 
 
-def pack(attachment: Attachment) -> bytes:
+def pack(attachment: RmwAttachment) -> bytes:
     return _ATTACHMENT.pack(attachment.sequence, attachment.sent_ns, _GID_BYTES, attachment.gid)
 
 
-def unpack(data: bytes | None) -> Attachment:
+def unpack(data: bytes | None) -> RmwAttachment:
     """The inverse of `pack`. Raises ValueError: it is none, or of rmw_zenoh before 0.2.4."""
     if data is None:
         raise ValueError("a message without an attachment, which rmw_zenoh always has")
     if len(data) != _ATTACHMENT.size or data[16] != _GID_BYTES:
         raise ValueError(f"an attachment of {len(data)} bytes; rmw_zenoh has 33 of them since 0.2.4 (2025-04)")
     sequence, sent_ns, _, gid = _ATTACHMENT.unpack(data)
-    return Attachment(sequence, sent_ns, gid)
+    return RmwAttachment(sequence, sent_ns, gid)
 
 
 def gid_of(token: str) -> bytes:

@@ -21,7 +21,7 @@ from fleet.addons.robots.ros2.mapping import (
     vehicle_of,
 )
 from fleet.addons.robots.ros2.types import RosTypes
-from fleet.logs.decoder import decoded, known_class
+from fleet.logs.decoder import decode_message, known_class
 from fleet.recorder.scene.primitives import NED
 from fleet.recorder.transforms import MAP
 
@@ -189,7 +189,7 @@ class Translation:
         if cls is None:
             return
         try:
-            message = decoded(cls, data)
+            message = decode_message(cls, data)
             found = vehicle_of(topic)
             made = self._of_fleet(topic, at_ns, message) if found is None else self._of_vehicle(*found, at_ns, message)
             yield from made
@@ -228,7 +228,7 @@ class Translation:
             return [] if made is None else [self._message(SCENE, at_ns, made)]
         if topic == "faults":
             self.diagnostics.fault(message)
-            return [self.diagnosed(at_ns)]
+            return [self.diagnostics_message(at_ns)]
         return self._transforms(at_ns, message)
 
     def _transforms(self, at_ns: int, message: Any) -> list[RosMessage]:
@@ -242,11 +242,11 @@ class Translation:
             moving.append(self.maker.transform(at_ns, one.parent_frame_id, one.child_frame_id, place, turn))
         found = [self._message(TF, at_ns, self.maker.transforms(moving))]
         if fixed and self._fixed is None:
-            self._fixed = self.maker.fixed(fixed[0], self.vehicles)
+            self._fixed = self.maker.static_transforms(fixed[0], self.vehicles)
             found.insert(0, self._message(TF_STATIC, at_ns, self._fixed))
         return found
 
-    def diagnosed(self, at_ns: int) -> RosMessage:
+    def diagnostics_message(self, at_ns: int) -> RosMessage:
         return self._message(DIAGNOSTICS, at_ns, self.diagnostics.message(at_ns))
 
     @staticmethod

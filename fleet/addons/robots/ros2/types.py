@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fleet.errors import FleetError
-from fleet.logs.table import need
+from fleet.logs.table import require
 
 DISTRIBUTIONS = ("humble", "jazzy", "kilted")
 USUAL = "jazzy"
@@ -25,7 +25,7 @@ _EVENT_INFO = "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client
 
 def types_of(distribution: str = USUAL) -> RosTypes:
     """The types of a distribution of ROS 2. Raises FleetError: the extra `ros2` is not installed."""
-    need("ROS 2", ("rosbags", "xxhash"), "ros2")
+    require("ROS 2", ("rosbags", "xxhash"), "ros2")
     return _types_of(distribution)
 
 
@@ -65,7 +65,7 @@ class RosTypes:
         known = self.store.fielddefs
         if name in known:  # a definition that is amended
             del known[name]
-        self.store.register({name: (constants, [(field, _named(kind)) for field, kind in fields])})
+        self.store.register({name: (constants, [(field, _with_type_names(kind)) for field, kind in fields])})
 
     def new(self, name: str, /, **fields: Any) -> Any:
         """A message of a type. Raises TypeError: it has other fields."""
@@ -112,10 +112,10 @@ def ros_name(dds: str) -> str | None:
     return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
 
 
-def _named(kind: Any) -> Any:
+def _with_type_names(kind: Any) -> Any:
     """A field's type, with the names of types of services as they are: rosbags puts `msg` into them, and takes a name
     without a package for one of the folder `srv`."""
     if isinstance(kind, str):
         of_service = kind.endswith(("_Request", "_Response", "_Event"))
         return kind.replace("/srv/msg/", "/srv/" if of_service else "/msg/")
-    return tuple(map(_named, kind)) if isinstance(kind, tuple) else kind
+    return tuple(map(_with_type_names, kind)) if isinstance(kind, tuple) else kind

@@ -58,7 +58,7 @@ def record(
     from fleet.processes.interrupts import holding_interrupts
     from fleet.replay.capture import PublisherGone, Recorder, TrafficWriter
 
-    connect, credentials, keys, journal = _recorded(keys, connect, listen, run, ros2=ros2)
+    connect, credentials, keys, journal = _find_recorded(keys, connect, listen, run, ros2=ros2)
     path = output or Path(f"record-{datetime.now(UTC):%Y%m%d-%H%M%S}{'' if ros2 else '.mcap'}")  # noqa: TID251 (a name)
     with ending() as sessions, StatusLine(quiet=quiet) as line:
         if ros2:
@@ -89,7 +89,7 @@ def record(
             _finish(recorder, writer, line, path)
 
 
-def _recorded(
+def _find_recorded(
     keys: tuple[str, ...], connect: str | None, listen: str | None, run: str | None, *, ros2: bool
 ) -> tuple[str | None, Any, tuple[str, ...], Any]:
     """The endpoint to connect to, the credentials for it, the keys to record, and those of the run whose log it is.

@@ -97,7 +97,7 @@ def _open_bridge(
     node = RosNode(bus, translation.maker.types, number, NODE)
     bridge = RosBridge(node, translation)
     if isinstance(controlled, LiveSource):
-        offer_control(node, controlled.controlled())
+        offer_control(node, controlled.open_control())
         line.print("warning: whoever reaches this router can disturb the run: services /fleet/inject and /fleet/heal")
     else:
         line.print("nodes can watch; --control would let them disturb a live run, too")
@@ -144,17 +144,17 @@ def _serve_log(
 
     types = types_of(distro)
     with showing(f"reading {source.path}") as on_progress:
-        tape = SeekableLog(source.path, on_progress)
-    translation = Translation(types, {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()})
+        log = SeekableLog(source.path, on_progress)
+    translation = Translation(types, {c.topic: log.schemas.get(c.schema_id) for c in log.channels.values()})
     if not translation.vehicles:
         raise FleetError(f"{source.path} holds nothing that has a topic in ROS 2: it is no log of a run")
     with ending() as sessions, exit_status(3):
-        if tape.missing:
-            line.print(f"warning: {source.path}: {tape.missing}")
+        if log.missing:
+            line.print(f"warning: {source.path}: {log.missing}")
         bridge = open_bridge(translation, sessions)
         line.print(f"playing {source.path}")
         with Keyboard() as keyboard:
-            play_log(bridge, tape, keyboard, line, rate=rate, loop=loop)
+            play_log(bridge, log, keyboard, line, rate=rate, loop=loop)
         if (judged := checks_judged(source.path)) is not None:
             bridge.checks(judged["rows"])
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from msgspec import Meta, Struct
 
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.modules import NO_MODULES, Modules
 from fleet.addons.studies.one_run import Task
@@ -24,7 +24,7 @@ from fleet.addons.studies.plan import run_key
 from fleet.addons.studies.row import Row
 from fleet.addons.studies.shrink import Tree, tree_of
 from fleet.analysis.verdicts import standing
-from fleet.execution.in_process import in_process
+from fleet.execution.in_process import start_in_process
 from fleet.execution.outcome import judge_run, settle
 from fleet.quantities import show_time, time_ns
 from fleet.recorder.journal import Journal
@@ -127,7 +127,7 @@ def remake(scenario: Scenario, progress: Callable[[float], None]) -> Rerun:
     check in Python cannot be made.
     """
     watch = _Watch(scenario, _every(scenario))
-    runner, log = in_process(scenario, watch), NoLog()
+    runner, log = start_in_process(scenario, watch), NoLog()
     watch.journal = journal = runner.journal
     result = Result(scenario=scenario.name, seed=scenario.seed, status=Status.PASS)
     if broken := runner.to_end(lambda: progress(max(0, journal.written) / scenario.ticks)):
@@ -209,7 +209,7 @@ class HealingSearch:
     def _task(self, ticks: tuple[int, ...]) -> Task:
         """Make the runs that are healed at some ticks."""
         tick_ns, seed = self._scenario.tick_ns, self._scenario.seed
-        each = tuple((tick, json.dumps(healed(self._tree, tick * tick_ns))) for tick in ticks)
+        each = tuple((tick, json.dumps(without_faults_after(self._tree, tick * tick_ns))) for tick in ticks)
         key = run_key(f"{self._text}\nhealed at {ticks} {self._check}")
         return Task(key, 0, seed, self._scenario.name, self._text, inf, self._modules, healed=each)
 
@@ -252,7 +252,7 @@ class HealingSearch:
         return NoReturn(how, words, passes.at_s, fails.at_s, tried)
 
 
-def healed(tree: Tree, at_ns: int) -> Tree:
+def without_faults_after(tree: Tree, at_ns: int) -> Tree:
     """A scenario that heals all faults at a time: active faults end, and later ones never begin."""
     faults: list[dict[str, Any]] = []
     gone: set[str] = set()

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from fleet.addons.pictures.axes import marks_legend
 from fleet.addons.pictures.caption import write_caption
 from fleet.addons.pictures.look import label_pt, page_in
-from fleet.addons.pictures.runs import Run, View, with_gaps
+from fleet.addons.pictures.runs import LoggedRun, View, with_gaps
 from fleet.addons.pictures.shades import shade
 from fleet.addons.pictures.signal_limits import draw_limits
 from fleet.addons.pictures.style import HALO, THIN, Provenance, format_of, line, panels, save_as
@@ -144,4 +144,4 @@ def _draw_signal(ax: Axes, why: Why, log: Log) -> tuple[str, list[str]]:
         return label, []
     for vehicle, (t, shown) in series.items():
         line(ax, vehicle - 1, t, shown, name_of(vehicle, why), linewidth=THIN)
-    return label, draw_limits(ax, [Run(log, why.scenario)], View(tuple(series)), name._replace(vehicle=None))
+    return label, draw_limits(ax, [LoggedRun(log, why.scenario)], View(tuple(series)), name._replace(vehicle=None))

@@ -30,13 +30,13 @@ from fleet.logs.schemas import BELIEF, COMMAND, PACKET, ROLL, STATE, MessageFiel
 from fleet.logs.topic_names import link_of
 from fleet.mcap.reader import LogReader, OnProgress, Record, log_path
 from fleet.recorder.start import set_up_otherwise
-from fleet.repeat.recorded_run import recorded as read
+from fleet.repeat.recorded_run import read_recorded_run as read
 from fleet.repeat.verify import start_of
 from fleet.scenario.scenario import Scenario, timeline
 from fleet.scenario.text.overrides import Override
 from fleet.scenario.trust import A_LOG, Policy, ran_from
 from netem.lives import Lives
-from netem.transit import stamped
+from netem.transit import with_sender_time
 from netem.vehicle_clock import Clocks
 from netem.wire.messages import Delivery, Nav
 from world.errors import PluginError
@@ -234,7 +234,7 @@ class _OtherAgent:
         due = []
         while self._waiting and self._waiting[0].due_tick <= tick:
             delivery = self._waiting.popleft()
-            due.append(delivery if self._senders is None else stamped(delivery, self._senders))
+            due.append(delivery if self._senders is None else with_sender_time(delivery, self._senders))
         return due
 
     def found(self) -> WhatIf:

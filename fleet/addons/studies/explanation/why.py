@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from fleet.addons.studies.engine import Engine
+from fleet.addons.studies.engine_interface import Engine
 from fleet.addons.studies.explanation.evidence import (
     CAUSES,
     NOT_SENT,
@@ -31,7 +31,7 @@ from fleet.execution.directory import SCENARIO
 from fleet.logs.open_log import Log, open_log
 from fleet.logs.schemas import CLOCK, FROM
 from fleet.mcap.reader import digest
-from fleet.repeat.recorded_run import Recorded, recorded
+from fleet.repeat.recorded_run import Recorded, read_recorded_run
 from fleet.result.file import ResultError, read_result
 from fleet.result.verdict import Verdict
 from fleet.scenario.text.yaml_reader import Source, plain, read
@@ -91,7 +91,7 @@ class Explanation:
         """
         self._question, self._on_progress = question, on_progress
         self._notes: list[str] = []
-        source = recorded(question.path, lambda share: on_progress(f"reading the log, {100 * share:.0f} %", 0))
+        source = read_recorded_run(question.path, lambda share: on_progress(f"reading the log, {100 * share:.0f} %", 0))
         self.path = source.path
         self._why_not = _why_not(source, question)
         self.scenario = source.script(policy=Policy())
@@ -144,7 +144,7 @@ class Explanation:
         if not known:
             return [], []
         try:
-            origin = recorded(Path(path))
+            origin = read_recorded_run(Path(path))
             if digest(origin.path) != known:
                 raise FleetError("it is another log by now")
         except FleetError as error:
@@ -310,7 +310,7 @@ def _faults(why: Why) -> Iterator[str]:
         yield f"no fault had begun by {why.at_s:g} s"
         return
     yield "faults"
-    room = table.shown(len(why.faults), _MOST_FAULTS)
+    room = table.shown_rows(len(why.faults), _MOST_FAULTS)
     shown = sorted(why.faults, key=lambda fault: (not fault.on, -fault.from_s))[:room]
     for fault in sorted(shown, key=lambda fault: fault.from_s):
         span = f"since {fault.from_s:g} s" if fault.on else f"{fault.from_s:g} to {fault.to_s:g} s"
@@ -356,7 +356,7 @@ def _gap(gap: Gap, why: Why) -> str:
 
 def _vehicles(why: Why) -> Iterator[str]:
     yield f"what each {'node had heard' if why.nodes else 'vehicle knew'} at {why.at_s:g} s"
-    room = table.shown(len(why.vehicles), _MOST_VEHICLES)
+    room = table.shown_rows(len(why.vehicles), _MOST_VEHICLES)
     for vehicle in why.vehicles[:room]:
         yield from _vehicle(vehicle, why)
     if len(why.vehicles) > room:

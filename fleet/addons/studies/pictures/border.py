@@ -42,11 +42,11 @@ def draw_borders(borders: Borders, theories: Sequence[Theory]) -> Figure:
     """The borders of a study. `theories`: what theory says, border by border. Raises StudyError: there is too much for
     one picture, or the study is damaged."""
     runs = [borders.verdicts(rows.values()) for rows in borders.rows()]
-    every = [_One(*one) for one in zip(borders.found(), runs, theories, strict=True)]
+    every = [_One(*one) for one in zip(borders.estimates(), runs, theories, strict=True)]
     per = borders.store.record.axes[:-1]
     varied = [axis for axis in per if len({one.border.values[axis.key] for one in every}) > 1]
     across = next((axis for axis in varied if axis.unit is not None), None)
-    figure = _below_each_other(borders, every, varied) if across is None else _across(borders, every, varied, across)
+    figure = _stack_borders(borders, every, varied) if across is None else _across(borders, every, varied, across)
     write_caption(figure, [printable(borders.title)[:_MOST_WORDS], *_shunting(borders, every, varied)])
     return figure
 
@@ -85,7 +85,7 @@ def _across(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord
             _line(ax, borders, line, at, k, shift, colour)
             if len(kinds) == 1:
                 for x, one in zip(at, line, strict=True):
-                    for place, away, shade in _stacked(one.runs, 4.0 / value_pt, 2.2 / value_pt, 0.45):
+                    for place, away, shade in _stack_dots(one.runs, 4.0 / value_pt, 2.2 / value_pt, 0.45):
                         ax.plot([x + away], [borders.places[place]], ".", color=shade, markersize=3)
         ax.set_xticks(range(len(values)), [f"{value:g}" for value in values])
         ax.set_ylim(*_limits(borders))
@@ -122,7 +122,7 @@ def _line(
         ax.plot(*zip(*known, strict=True), color="0.3", linestyle=":", linewidth=NORMAL + 0.4, zorder=3)
 
 
-def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> Figure:
+def _stack_borders(borders: Borders, every: Sequence[_One], varied: Sequence[AxisRecord]) -> Figure:
     if len(every) > MOST_ROWS:
         raise StudyError(f"these are {len(every)} borders, and a picture has {MOST_ROWS} below each other at most")
     figure, (ax,) = panels(1, 1, column_in(), 0.45 * len(every) + 1.5)
@@ -136,7 +136,7 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
                 clip_on=False, zorder=4)  # fmt: skip
         if one.theory.reckoning is not None and one.theory.reckoning < len(borders.places):
             ax.plot([borders.places[one.theory.reckoning]] * 2, [row - 0.4, row + 0.4], ":", color="0.3")
-        for place, away, colour in _stacked(one.runs, 0.17, 0.07, 0.45):
+        for place, away, colour in _stack_dots(one.runs, 0.17, 0.07, 0.45):
             ax.plot([borders.places[place]], [row + away], ".", color=colour, markersize=3)
     ax.set_yticks(range(len(every)), [_words(borders, kind) for kind in _kinds(every, varied)])
     ax.set_ylim(len(every) - 0.4, -0.6)
@@ -147,7 +147,7 @@ def _below_each_other(borders: Borders, every: Sequence[_One], varied: Sequence[
     return figure
 
 
-def _stacked(runs: Sequence[Run], first: float, step: float, last: float) -> Iterator[tuple[int, float, str]]:
+def _stack_dots(runs: Sequence[Run], first: float, step: float, last: float) -> Iterator[tuple[int, float, str]]:
     """Place, distance and colour of the dot of each run: those that passed on one side, and closer where many are."""
     for (place, passed), count in Counter(runs).items():
         near = min(step, (last - first) / max(1, count - 1))

@@ -22,7 +22,9 @@ from fleet.addons.pictures.style import (
 from fleet.addons.studies.borders import Borders, Theory, theory
 from fleet.addons.studies.errors import StudyError
 from fleet.addons.studies.pictures.border import draw_borders
-from fleet.addons.studies.pictures.charts import boxes, curves, heat
+from fleet.addons.studies.pictures.boxes import boxes
+from fleet.addons.studies.pictures.curves import curves
+from fleet.addons.studies.pictures.heat_maps import heat
 from fleet.addons.studies.pictures.marks import (
     MOST_PANELS,
     layout_of,
@@ -73,13 +75,13 @@ def draw(points: Points, log_scale: bool | None = None, share: OnProgress = lamb
     for number, (name, title, quantity, logs) in enumerate(todo):
         share(number / len(todo))
         try:
-            for figure in _drawn(quantity(), logs):
+            for figure in _draw_figures(quantity(), logs):
                 yield Picture(_free(_slug(name), taken), title, figure)
         except NothingToDraw as reason:
             yield Picture(printable(name), title, str(reason))
 
 
-def _drawn(quantity: Quantity, log_scale: bool | None) -> Iterator[Figure]:
+def _draw_figures(quantity: Quantity, log_scale: bool | None) -> Iterator[Figure]:
     numbers = [value for cell in quantity.cells.values() for value in cell.values]
     if not numbers and not any(sum(cell.lack) for cell in quantity.cells.values()):
         raise NothingToDraw("there is no pair of runs")

@@ -165,7 +165,7 @@ class Lacks:
         ]
 
 
-def used(axes: Sequence[Axes], shown: Sequence[Panel]) -> Iterator[tuple[int, Axes, Panel]]:
+def used_axes(axes: Sequence[Axes], shown: Sequence[Panel]) -> Iterator[tuple[int, Axes, Panel]]:
     """The axes that have a panel, with its title; the others are not seen."""
     for ax in axes[len(shown) :]:
         ax.set_visible(False)
@@ -218,8 +218,6 @@ def few_ticks(axis: Axis, names: Sequence[str], most: int) -> None:
     axis.set_ticks(range(0, len(names), step), labels=names[::step])
 
 
-# How a study is shown best: which of its dimensions are axes, lines or panels.
-
 MOST_PANELS = 12  # of one picture; more go to further ones
 
 
@@ -233,7 +231,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which varied key becomes which part of a picture. A key with one value becomes none."""
+    """How a study is shown best: which varied key becomes which part of a picture, and a key with one value none."""
 
     kind: Literal["heat", "curve", "boxes"]  # a map over two numbers, a curve over one, or boxes over words
     dimensions: tuple[VariedKey, ...]

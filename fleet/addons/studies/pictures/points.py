@@ -14,8 +14,9 @@ import numpy as np
 import yaml
 
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import CHECK, MEASURES, find_columns
+from fleet.addons.studies.measures import CHECK, MEASURES
 from fleet.addons.studies.plan import MOST_RUNS
+from fleet.addons.studies.signal_measures import find_columns
 from fleet.addons.studies.statistics import Estimate, median, pass_rate
 from fleet.addons.studies.store import Store
 from fleet.addons.studies.summary import DEFAULT
@@ -175,7 +176,7 @@ def load(store: Store, measures: Sequence[str] = ()) -> Points:
         read[PASSED].append(nan if row.passed is None else row.passed)
         for name in columns:
             read[name].append(row.number(name))
-    wanted = store.needed()
+    wanted = store.needed_seeds()
     needed = np.array([wanted[k] for k in range(len(keys))], int)
     most = max(int(needed.max(initial=0)), max(at, default=0) + 1)
     if not keys or len(keys) * most > MOST_RUNS:
@@ -253,8 +254,6 @@ def _cell(kind: str, state: Array, values: Array) -> Cell:
     return Cell(median(values[~np.isnan(values)].tolist()), found, lack)
 
 
-# Turns keys and values of a scenario into words for the axes, legends and titles of a study's pictures.
-
 _KEYS = {
     "vehicles": "number of vehicles",
     "network.period": "time between rounds",
@@ -268,7 +267,7 @@ _NUMBER = re.compile(r"[-+.]?\d")
 
 
 def key_words(key: str) -> str:
-    """A key in words: `network.links.*.loss` is `loss of every link`."""
+    """A key in words, for axes, legends and titles: `network.links.*.loss` is `loss of every link`."""
     if key in _KEYS:
         return _KEYS[key]
     link = _LINKS.fullmatch(key)

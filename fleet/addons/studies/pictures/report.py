@@ -12,7 +12,18 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from fleet.addons.pictures.page import Block, Heading, Listing, Mark, Table, Text, from_here, images, render, write_page
+from fleet.addons.pictures.page import (
+    Block,
+    FoldedText,
+    Heading,
+    Mark,
+    Paragraph,
+    Table,
+    from_here,
+    images,
+    render,
+    write_page,
+)
 from fleet.addons.pictures.report import rest
 from fleet.addons.studies.pictures.gallery import draw
 from fleet.addons.studies.pictures.points import NOT_MADE, NOT_NEEDED, Points, Quantity, factors, is_share, load, minus
@@ -47,31 +58,31 @@ def page(store: Store, points: Points, log_scale: bool | None = None, share: OnP
     directory = from_here(store.directory)
     first, pictures = images(draw(points, log_scale, share))
     place = shlex.quote(str(directory))
-    blocks: list[Block] = [Text(_verdict(rows.points), "verdict"), *([first] if first else [])]
-    if (failed := _failed(rows)).rows:
+    blocks: list[Block] = [Paragraph(_verdict(rows.points), "verdict"), *([first] if first else [])]
+    if (failed := _failed_table(rows)).rows:
         blocks += [Heading("Why runs failed", 2), failed]
     blocks += [Heading("What was run", 2), Table((), _facts(store, points, rows), "words")]
     if store.record.border is not None:
-        blocks.append(Text(_BORDER.format(place=place)))
+        blocks.append(Paragraph(_BORDER.format(place=place)))
     if missing := int((points.state == NOT_MADE).sum()):
-        blocks.append(Text(f"{missing} runs are not made yet; `fleet sweep {place}` makes them.", "warn"))
+        blocks.append(Paragraph(f"{missing} runs are not made yet; `fleet sweep {place}` makes them.", "warn"))
     if axes := [(one.key, one.unit or "", _some([*map(one.shown, one.values)])) for one in points.dimensions]:
         blocks += [Heading("What varies", 2), Table(("what varies", "unit", "values"), axes, "words")]
-    blocks += [Heading("Results", 2), Text(_STATISTICS)]
+    blocks += [Heading("Results", 2), Paragraph(_STATISTICS)]
     if pictures.drawn or pictures.missing:
         blocks.append(pictures)
     blocks += [Heading("All points"), _results(points)]
     if comparisons := _comparisons(points):
-        blocks += [Heading("In pairs", 2), Text(_IN_PAIRS)]
+        blocks += [Heading("In pairs", 2), Paragraph(_IN_PAIRS)]
         blocks += [block for key, table in comparisons for block in (Heading(key), table)]
     reasons = _reasons(rows)
-    blocks += [Heading("Runs without a result", 2), reasons if reasons.rows else Text("None.")]
+    blocks += [Heading("Runs without a result", 2), reasons if reasons.rows else Paragraph("None.")]
     blocks.append(Heading("How to make a run again", 2))
     if again := _again(directory, rows):
-        blocks += [Text(_AGAIN), Listing(again)]
-    blocks.append(Text("All rows: `fleet.open_study(...).to_pandas()`."))
+        blocks += [Paragraph(_AGAIN), FoldedText(again)]
+    blocks.append(Paragraph("All rows: `fleet.open_study(...).to_pandas()`."))
     if store.points:
-        blocks.append(Listing(store.points[0].scenario, "The scenario of point 0"))
+        blocks.append(FoldedText(store.points[0].scenario, "The scenario of point 0"))
     return render(f"uuv-fleet: study {store.directory.resolve().name}", blocks)
 
 
@@ -141,7 +152,7 @@ def _facts(store: Store, points: Points, rows: _Rows) -> list[tuple[str, Any]]:
         ("points", len(points.keys)),
         ("seeds of each", listed),
         ("runs", f"{planned}, of which {rows.count} are made and {rows.without} have no result"),
-        ("begun", _begun(store.directory)),
+        ("begun", _begin_words(store.directory)),
         ("wall time of the runs", cost),
         ("made by", "; ".join(f"{which}: {count} runs" for which, count in rows.made_by.items()) or record.made_by),
         ("directory", str(from_here(store.directory))),
@@ -158,13 +169,13 @@ def _verdict(points: Mapping[int, Sequence[int]]) -> str:
     return f"{passed} of {judged} runs passed ({passed / judged:.0%}{spread})"
 
 
-def _failed(rows: _Rows) -> Table:
+def _failed_table(rows: _Rows) -> Table:
     judged = sum(of for of, _ in rows.points.values())
     found = [(name, Mark(False, str(count)), f"{count / judged:.0%}") for name, count in rows.failed.most_common()]
     return Table(("check", "runs that failed it", "share"), found)
 
 
-def _begun(directory: Path) -> str:
+def _begin_words(directory: Path) -> str:
     found = re.search(r"\d{8}-\d{6}$", directory.resolve().name, re.ASCII)
     try:
         if found is not None:

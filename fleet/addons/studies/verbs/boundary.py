@@ -65,13 +65,13 @@ def boundary(
       fleet boundary paper --along 'network.period=100 ms..5 s' --per profile=paper,hardened --level 0.9
       fleet boundary studies/paper-20261122-101500
     """
-    from fleet.addons.studies.engine import need_extra
+    from fleet.addons.studies.engine_interface import require_extra
 
-    need_extra()
-    borders, modules, timeout_s = _opened(scenario, asked) or _prepared(scenario, asked, out, how)
+    require_extra()
+    borders, modules, timeout_s = _open_study(scenario, asked) or _prepare_study(scenario, asked, out, how)
     if borders.open():
         _run(borders, modules, timeout_s, how)
-    found = borders.found()
+    found = borders.estimates()
     if not (json_is_asked() or how.quiet):
         _show(borders, found)
     picture = _picture(borders, modules, formats, how)
@@ -83,7 +83,7 @@ def boundary(
         click.echo(borders.store.directory)
 
 
-def _opened(name: str, asked: BoundarySpec) -> tuple[Borders, Modules, float] | None:
+def _open_study(name: str, asked: BoundarySpec) -> tuple[Borders, Modules, float] | None:
     """The study of a directory, the modules that its runs need and the time that a run may take; None: it is none."""
     from fleet.addons.studies.borders import Borders
     from fleet.addons.studies.store import Store
@@ -98,7 +98,7 @@ def _opened(name: str, asked: BoundarySpec) -> tuple[Borders, Modules, float] | 
     return borders, modules_again(borders.store), seconds(timeout)
 
 
-def _prepared(name: str, asked: BoundarySpec, out: Path, how: WorkerOptions) -> tuple[Borders, Modules, float]:
+def _prepare_study(name: str, asked: BoundarySpec, out: Path, how: WorkerOptions) -> tuple[Borders, Modules, float]:
     from fleet.addons.studies.borders import Borders, border_plan, prepare_borders
     from fleet.addons.studies.study import new_directory
 

@@ -169,9 +169,9 @@ class RegressedFolder(Struct):
     scenarios: list[RegressedRow]
 
 
-def swept(store: Store, measures: Sequence[MeasureColumn]) -> Swept:
+def sweep_document(store: Store, measures: Sequence[MeasureColumn]) -> Swept:
     """The document of a study. Raises StudyError."""
-    from fleet.addons.studies.summary import reached, summarise
+    from fleet.addons.studies.summary import sometimes_reached, summarise
 
     record = store.record
     units = {axis.key: axis.unit for axis in record.axes} | {measure.name: measure.unit for measure in measures}
@@ -181,12 +181,12 @@ def swept(store: Store, measures: Sequence[MeasureColumn]) -> Swept:
         for row in summarise(store, measures)
     ]  # fmt: skip
     return Swept(str(store.directory), record.scenario, record.seeds, record.check, units, store.missing, points,
-                 _sometimes(reached(store)))  # fmt: skip
+                 _sometimes(sometimes_reached(store)))  # fmt: skip
 
 
 def boundary_document(borders: Borders, found: Sequence[Border], picture: str | None) -> BoundaryFound:
     """The document of a study of a border."""
-    from fleet.addons.studies.summary import reached
+    from fleet.addons.studies.summary import sometimes_reached
 
     store, along = borders.store, borders.along
     rows = [
@@ -196,10 +196,10 @@ def boundary_document(borders: Borders, found: Sequence[Border], picture: str | 
     ]  # fmt: skip
     units, record = {axis.key: axis.unit for axis in store.record.axes[:-1]}, borders.record
     return BoundaryFound(str(store.directory), store.record.scenario, along.key, along.unit or "", units,
-                         record.check, record.level, picture, rows, _sometimes(reached(store)))  # fmt: skip
+                         record.check, record.level, picture, rows, _sometimes(sometimes_reached(store)))  # fmt: skip
 
 
-def less(found: Shrunk, before: Scenario, file: Path) -> ShrunkScenario:
+def shrink_document(found: Shrunk, before: Scenario, file: Path) -> ShrunkScenario:
     """The document of a scenario that was made less."""
     sizes = [Size(len(timeline(one)), one.vehicles, one.duration_ns / 1e9) for one in (before, found.scenario)]
     return ShrunkScenario(str(file), before.name, found.check, found.found, found.runs, found.steps, *sizes)
@@ -207,7 +207,7 @@ def less(found: Shrunk, before: Scenario, file: Path) -> ShrunkScenario:
 
 def first_failing(found: SearchResult, shrunk: Shrunk | None, file: Path, kept: Sequence[FoundFailure]) -> FirstFailing:
     """The document of a search, and of what was made of the run that it found."""
-    least = None if shrunk is None or found.scenario is None else less(shrunk, found.scenario, file)
+    least = None if shrunk is None or found.scenario is None else shrink_document(shrunk, found.scenario, file)
     return FirstFailing(
         found.name, found.first_seed, found.runs, found.without, found.reason, found.seed, found.check or None,
         found.most_failures, least, _sometimes(found.reached), [*kept],
@@ -217,7 +217,7 @@ def first_failing(found: SearchResult, shrunk: Shrunk | None, file: Path, kept: 
 
 def whole_space(scenario: Scenario, found: WholeSpace, shrunk: Shrunk | None, file: Path) -> FirstFailing:
     """The document of a search through a whole space."""
-    least = None if shrunk is None or found.scenario is None else less(shrunk, found.scenario, file)
+    least = None if shrunk is None or found.scenario is None else shrink_document(shrunk, found.scenario, file)
     seed = None if found.scenario is None else scenario.seed
     return FirstFailing(
         scenario.name, scenario.seed, found.runs, found.without, found.reason, seed, found.check or None, None, least,
@@ -225,7 +225,7 @@ def whole_space(scenario: Scenario, found: WholeSpace, shrunk: Shrunk | None, fi
     )  # fmt: skip
 
 
-def regressed(folder: Path, found: Sequence[RegressionResult]) -> RegressedFolder:
+def regress_document(folder: Path, found: Sequence[RegressionResult]) -> RegressedFolder:
     """The document of `fleet regress`."""
     rows = [RegressedRow(one.failure, one.same, one.got, one.differs) for one in found]
     return RegressedFolder(str(folder), all(row.as_expected for row in rows), rows)

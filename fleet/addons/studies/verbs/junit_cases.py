@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from fleet.addons.studies.store import Store
 
 
-def of_study(store: Store) -> list[JUnitCase]:
+def study_cases(store: Store) -> list[JUnitCase]:
     """A case for each point; it has failed if one of the point's runs failed."""
-    from fleet.addons.studies.summary import reached, summarise
+    from fleet.addons.studies.summary import sometimes_reached, summarise
 
     cases = []
     for row in summarise(store):
@@ -24,10 +24,10 @@ def of_study(store: Store) -> list[JUnitCase]:
         failure = f"{failed} of {row.passed.runs} runs failed {store.record.check or 'a check'}" if failed else ""
         error = "" if row.passed.runs else "no run has a result"
         cases.append(JUnitCase(name, failure, error, f"fleet sweep {store.directory}"))
-    return [*cases, *(JUnitCase(one.name, "" if one.hits else one.words) for one in reached(store))]
+    return [*cases, *(JUnitCase(one.name, "" if one.hits else one.words) for one in sometimes_reached(store))]
 
 
-def of_search(found: SearchResult, kept: Sequence[FoundFailure], again: str) -> list[JUnitCase]:
+def search_cases(found: SearchResult, kept: Sequence[FoundFailure], again: str) -> list[JUnitCase]:
     """A case for each kind of failure, and one for each check that some run must reach. No failure: one passed case."""
 
     lines = {failure.check: failure.paste for failure in kept}
@@ -42,7 +42,7 @@ def of_search(found: SearchResult, kept: Sequence[FoundFailure], again: str) -> 
     ]
 
 
-def of_regress(found: Sequence[RegressionResult]) -> list[JUnitCase]:
+def regress_cases(found: Sequence[RegressionResult]) -> list[JUnitCase]:
     """A case for each scenario of a folder."""
     return [
         JUnitCase(

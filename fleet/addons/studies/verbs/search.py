@@ -30,7 +30,7 @@ from fleet.terminal.status_line import StatusLine
 from fleet.terminal.width import say
 
 if TYPE_CHECKING:
-    from fleet.addons.studies.engine import Engine
+    from fleet.addons.studies.engine_interface import Engine
     from fleet.addons.studies.failures import FoundFailure, RegressionResult
     from fleet.addons.studies.modules import Modules
     from fleet.addons.studies.rare import RareFound
@@ -83,9 +83,9 @@ def shrink(
             raise
     write_least(found.scenario, path)
     if json_is_asked():
-        from fleet.addons.studies.verbs.documents import less
+        from fleet.addons.studies.verbs.documents import shrink_document
 
-        print_document(less(found, scenario, path))
+        print_document(shrink_document(found, scenario, path))
     else:
         show_least(scenario, found, path)
 
@@ -183,10 +183,10 @@ def _failing_scenario(name: str, changes: Iterable[str | Override]) -> tuple[Sce
     path = Path(name)
     if name in shipped_scenarios() or path.suffix in (".yaml", ".yml"):
         return load_scenario(name, [*changes]), path.parent if path.exists() else None
-    from fleet.repeat.recorded_run import recorded
+    from fleet.repeat.recorded_run import read_recorded_run
     from fleet.scenario.trust import Policy
 
-    return recorded(path).script([*changes], Policy()), None
+    return read_recorded_run(path).script([*changes], Policy()), None
 
 
 NemesisMode = Literal["swarm", "episodes", "liveness"] | None
@@ -242,7 +242,7 @@ def search(
     if whole:
         from fleet.addons.studies.verbs.whole_space import search_space
 
-        tried, modules = _tried(scenario, changes, None)
+        tried, modules = _load_searched(scenario, changes, None)
         path, most = place_of(tried, out, force=force), None if budget == SEEDS_TO_TRY else budget[0]
         write = partial(write_least, path=path)
         search_space(tried, modules, whole, check, most, path, how, write, show_least)
@@ -253,7 +253,7 @@ def search(
     if nemesis + episodes + liveness > 1:
         raise click.UsageError("--nemesis, --episodes and --liveness each add another nemesis: give one of them")
     mode: NemesisMode = "liveness" if liveness else "episodes" if episodes else "swarm" if nemesis else None
-    tried, modules = _tried(scenario, changes, mode)
+    tried, modules = _load_searched(scenario, changes, mode)
     hunt = _Hunt(tried, check, keep, keep or place_of(tried, out, force=force))
     with how.showing(_seed_pieces(budget)) as on_progress, how.engine(modules) as engine:
         try:
@@ -263,7 +263,7 @@ def search(
             raise
     found = hunt.found
     again = f"fleet {'netem' if tried.nodes else 'run'} {scenario} --seed {found.seed}"
-    cli_junit.write(junit, found.name, junit_cases.of_search(found, hunt.kept, again))
+    cli_junit.write(junit, found.name, junit_cases.search_cases(found, hunt.kept, again))
     _print_search(found, hunt.least, check, hunt.path, hunt.kept)
     if found.scenario is not None:
         sys.exit(1)
@@ -329,7 +329,7 @@ class _Hunt:
         write_least(self.least.scenario, self.path)
 
 
-def _tried(name: str, changes: Iterable[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
+def _load_searched(name: str, changes: Iterable[str | Override], mode: NemesisMode) -> tuple[Scenario, Modules]:
     """The scenario of the search, and the modules that its runs need; `mode`: of the nemesis that the scenario gets."""
     from fleet.addons.studies.modules import modules_of
     from fleet.addons.studies.search import nemesis_of
@@ -413,11 +413,11 @@ def regress(
         found = regression.run(engine, lambda made: on_progress(made, of), engine.carry(modules))
     if accept:
         found = regression.accept(found)
-    cli_junit.write(junit, folder.name, junit_cases.of_regress(found))
+    cli_junit.write(junit, folder.name, junit_cases.regress_cases(found))
     if json_is_asked():
-        from fleet.addons.studies.verbs.documents import regressed
+        from fleet.addons.studies.verbs.documents import regress_document
 
-        print_document(regressed(folder, found))
+        print_document(regress_document(folder, found))
     else:
         _show_regressed(found)
     if accept:
@@ -467,7 +467,8 @@ def rare(
       fleet rare my.yaml --check min_separation --repeats 50 --effort 200
     """
     from fleet.addons.studies.modules import modules_of
-    from fleet.addons.studies.rare import RareEvent, Splitting
+    from fleet.addons.studies.rare import RareEvent
+    from fleet.addons.studies.splitting import Splitting
     from fleet.addons.studies.study_file import refuse_study
     from fleet.scenario.loading import load_scenario
 

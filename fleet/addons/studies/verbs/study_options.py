@@ -21,7 +21,7 @@ from fleet.terminal.table import TerminalColumn
 from fleet.terminal.width import say
 
 if TYPE_CHECKING:
-    from fleet.addons.studies.engine import Engine
+    from fleet.addons.studies.engine_interface import Engine
     from fleet.addons.studies.modules import Modules
     from fleet.addons.studies.record import AxisRecord
     from fleet.addons.studies.store import Store
@@ -140,15 +140,15 @@ def progress_pieces(line: StatusLine, share: float, progress: Progress) -> list[
 
 def show_reached(store: Store) -> None:
     """Say what some run had to reach, and whether one did."""
-    from fleet.addons.studies.summary import reached
+    from fleet.addons.studies.summary import sometimes_reached
 
-    for one in reached(store):
+    for one in sometimes_reached(store):
         say(one.words if one.hits else f"{one.words}: that no check fails says little")
 
 
 def show_failing_stacks(store: Store, most: int = 2) -> None:
     """Say how the first runs of programs failed whose directories the study has kept, and how to make them again."""
-    from fleet.addons.studies.stack_runs import told_of
+    from fleet.addons.studies.stack_runs import describe_failure
 
     if not store.record.programs:
         return
@@ -157,6 +157,6 @@ def show_failing_stacks(store: Store, most: int = 2) -> None:
     for row, place in kept[:most]:
         values = store.points[row.point].values.items()
         where = ", ".join(f"{key.removeprefix('network.links.')}={cell(value)}" for key, value in values)
-        say("\n".join([f"seed {row.seed} failed{f' at {where}' if where else ''}", *told_of(place)]))
+        say("\n".join([f"seed {row.seed} failed{f' at {where}' if where else ''}", *describe_failure(place)]))
     if len(kept) > most:
         say(f"{len(kept) - most} more runs that failed are in {store.logs}")

@@ -83,24 +83,24 @@ def sweep(
     """
     if json_is_asked() and show_config:
         raise click.UsageError("--show-config prints YAML, so it cannot be used together with --json")
-    from fleet.addons.studies.engine import need_extra
+    from fleet.addons.studies.engine_interface import require_extra
 
-    need_extra()
+    require_extra()
     directory = study_directory(scenario, asked)
     if show_config:
         click.echo(_as_file(scenario, directory, asked), nl=False)
         return
     if directory is None:
-        store, spec, modules = _prepared(scenario, asked, out, how)
+        store, spec, modules = _prepare_study(scenario, asked, out, how)
     else:
-        store, spec, modules = *_opened(directory, asked), None
+        store, spec, modules = *_open_study(directory, asked), None
     shown = _columns(store, spec)
     _run(store, spec, modules, how)
-    cli_junit.write(junit, store.record.scenario, junit_cases.of_study(store))
+    cli_junit.write(junit, store.record.scenario, junit_cases.study_cases(store))
     if json_is_asked():
-        from fleet.addons.studies.verbs.documents import swept
+        from fleet.addons.studies.verbs.documents import sweep_document
 
-        print_document(swept(store, shown))
+        print_document(sweep_document(store, shown))
     elif how.quiet:
         click.echo(store.directory)
     else:
@@ -111,36 +111,36 @@ def sweep(
 def _as_file(name: str, directory: Path | None, asked: StudySpec) -> str:
     from fleet.addons.studies.plan import plan_of
     from fleet.addons.studies.study_file import study_yaml
-    from fleet.addons.studies.sweep import declared, load_points
+    from fleet.addons.studies.sweep import load_points, measure_columns
 
     if directory is None:
         study = _asked_for(name, asked)
-        declared(study.spec, load_points(plan_of(*study), refused=[]))  # laws that may not run are no mistake
+        measure_columns(study.spec, load_points(plan_of(*study), refused=[]))  # laws that may not run are no mistake
         return study_yaml(study.spec)
-    return study_yaml(_opened(directory, asked)[1])
+    return study_yaml(_open_study(directory, asked)[1])
 
 
-def _opened(directory: Path, asked: StudySpec) -> tuple[Store, StudySpec]:
+def _open_study(directory: Path, asked: StudySpec) -> tuple[Store, StudySpec]:
     """The study of a directory, and its spec with what was asked now; a budget is that of one command."""
     from fleet.addons.studies.store import Store
     from fleet.addons.studies.sweep import refuse_border
 
     store = Store.open(directory)
     refuse_border(store)
-    return store, store.record.rules.changed(**{"budget": "", **given_values(asked)})
+    return store, store.record.rules.with_options(**{"budget": "", **given_values(asked)})
 
 
 def _asked_for(name: str, asked: StudySpec) -> NamedStudy:
     from fleet.addons.studies.study_file import NamedStudy, study_named
 
     study = study_named(name) or NamedStudy(StudySpec(name))
-    spec = study.spec.changed(**given_values(asked))
+    spec = study.spec.with_options(**given_values(asked))
     if is_given("most_seeds") and not spec.until:
         raise click.UsageError("--most-seeds is for studies that add seeds: give --until, too")
     return study._replace(spec=spec)
 
 
-def _prepared(name: str, asked: StudySpec, out: Path, how: WorkerOptions) -> tuple[Store, StudySpec, Modules]:
+def _prepare_study(name: str, asked: StudySpec, out: Path, how: WorkerOptions) -> tuple[Store, StudySpec, Modules]:
     from fleet.addons.studies.plan import plan_of
     from fleet.addons.studies.study import new_directory
     from fleet.addons.studies.sweep import prepare
@@ -155,7 +155,7 @@ def _prepared(name: str, asked: StudySpec, out: Path, how: WorkerOptions) -> tup
 
 def _columns(store: Store, spec: StudySpec) -> list[MeasureColumn]:
     """The measures that the table shows. Raises StudyError: the study does not have one."""
-    from fleet.addons.studies.measures import find_columns
+    from fleet.addons.studies.signal_measures import find_columns
     from fleet.addons.studies.summary import DEFAULT
 
     return find_columns(spec.measures or store.record.measures or DEFAULT, store.record.every_column)
@@ -167,7 +167,7 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: WorkerOpti
 
     missing = store.missing
     if not how.quiet:
-        say(_announced(store, missing), err=True)
+        say(_announcement(store, missing), err=True)
     if not missing and not logs_to_make(store, spec.keep_logs):
         return
     if modules is None:
@@ -186,15 +186,15 @@ def _run(store: Store, spec: StudySpec, modules: Modules | None, how: WorkerOpti
 
 def _tell_if_all_are_the_same(store: Store) -> None:
     """Of a study whose runs differ by their seeds alone. The first two logs that differ end the reading."""
-    rows, runs = store.rows(details=True), sum(store.needed().values()) - store.missing
+    rows, runs = store.rows(details=True), sum(store.needed_seeds().values()) - store.missing
     digest = first.digest if len(store.points) == 1 and (first := next(rows, None)) else None
     if runs > 1 and digest is not None and all(row.digest == digest for row in rows):
         say(f"fleet: all {runs} runs have the same log: no draw of the seed matters", err=True)
 
 
-def _announced(store: Store, missing: int) -> str:
+def _announcement(store: Store, missing: int) -> str:
     points, seeds, until = len(store.points), len(store.record.seeds), store.record.rules.until
-    made = sum(store.needed().values()) - missing
+    made = sum(store.needed_seeds().values()) - missing
     runs = f"at first, until {until}" if until else f"= {points * seeds} runs"
     return f"{store.directory}: {points} points x {seeds} seeds {runs}" + (f", {made} of them made" if made else "")
 

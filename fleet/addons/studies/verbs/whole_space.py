@@ -16,7 +16,7 @@ from fleet.terminal.status_line import StatusLine
 from fleet.terminal.width import say
 
 if TYPE_CHECKING:
-    from fleet.addons.studies.engine import Engine
+    from fleet.addons.studies.engine_interface import Engine
     from fleet.addons.studies.modules import Modules
     from fleet.addons.studies.shrink import Shrunk
     from fleet.addons.studies.small_space import Space, WholeSpace

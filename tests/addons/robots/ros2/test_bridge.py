@@ -33,14 +33,14 @@ pytest.importorskip("rosbags", reason="the extra [ros2] is not installed")
 
 
 def bridge_of(log: Path, node: RosNode) -> tuple[RosBridge, SeekableLog]:
-    tape = SeekableLog(log)
-    schemas = {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()}
-    return RosBridge(node, Translation(node.types, schemas)), tape
+    seekable = SeekableLog(log)
+    schemas = {c.topic: seekable.schemas.get(c.schema_id) for c in seekable.channels.values()}
+    return RosBridge(node, Translation(node.types, schemas)), seekable
 
 
-def play(bridge: RosBridge, tape: SeekableLog) -> None:
-    with going_on(lambda keys, line: play_log(bridge, tape, keys, line, rate=1000.0, loop=False)):
-        wait_for(lambda: bridge.at_ns == tape.end_ns, LIMIT_S, "the end")
+def play(bridge: RosBridge, seekable: SeekableLog) -> None:
+    with going_on(lambda keys, line: play_log(bridge, seekable, keys, line, rate=1000.0, loop=False)):
+        wait_for(lambda: bridge.at_ns == seekable.end_ns, LIMIT_S, "the end")
 
 
 def test_the_library_of_another_author_reads_it(log: Path) -> None:
@@ -49,7 +49,7 @@ def test_the_library_of_another_author_reads_it(log: Path) -> None:
     messages = pytest.importorskip("ros2_pyterfaces.cyclone.all_msgs")
     ours = open_log(log)["uuv/2/state"]
     with ros_router() as (bus, endpoint), foreign_session(endpoint) as session:
-        bridge, tape = bridge_of(log, RosNode(bus, types_of(), 0, "fleet"))
+        bridge, seekable = bridge_of(log, RosNode(bus, types_of(), 0, "fleet"))
         ready, found, times = Event(), [], []
 
         async def read() -> None:
@@ -69,7 +69,7 @@ def test_the_library_of_another_author_reads_it(log: Path) -> None:
 
         with going_on(lambda *_: asyncio.run(read())):
             assert ready.wait(LIMIT_S)
-            play(bridge, tape)
+            play(bridge, seekable)
             wait_for(lambda: len(found) == 10 and len(times) == 5, LIMIT_S, "ten messages")
     # It keeps the last ten and drops what it is too slow for.
     east = dict(zip((ours.t * 1e9).round().astype(int).tolist(), ours.y.tolist(), strict=True))
@@ -84,8 +84,8 @@ def test_who_comes_late_gets_the_transforms_that_never_change(log: Path) -> None
     import zenoh.ext
 
     with ros_router() as (bus, endpoint):
-        bridge, tape = bridge_of(log, RosNode(bus, types_of(), 0, "fleet"))
-        play(bridge, tape)
+        bridge, seekable = bridge_of(log, RosNode(bus, types_of(), 0, "fleet"))
+        play(bridge, seekable)
         with foreign_session(endpoint) as session:
             (token,) = (
                 str(reply.ok.key_expr)

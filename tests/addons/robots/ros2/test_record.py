@@ -19,7 +19,7 @@ from waiting import wait_for
 from fleet.addons.robots.ros2.bridge import RosBridge, play_log
 from fleet.addons.robots.ros2.node import RosNode
 from fleet.addons.robots.ros2.record import BagWriter
-from fleet.addons.robots.ros2.rmw import Attachment, Entity, pack
+from fleet.addons.robots.ros2.rmw import Entity, RmwAttachment, pack
 from fleet.addons.robots.ros2.translation import Translation
 from fleet.addons.robots.ros2.types import types_of
 from fleet.mcap.seekable_log import SeekableLog
@@ -39,14 +39,14 @@ def read(folder: Path) -> dict[str, list[Any]]:
 
 def test_what_a_fleet_publishes_is_recorded(log: Path, tmp_path: Path) -> None:
     """Also the transforms that were published before the recorder came."""
-    tape = SeekableLog(log)
+    seekable = SeekableLog(log)
     with ros_router() as (bus, endpoint):
-        schemas = {c.topic: tape.schemas.get(c.schema_id) for c in tape.channels.values()}
+        schemas = {c.topic: seekable.schemas.get(c.schema_id) for c in seekable.channels.values()}
         bridge = RosBridge(RosNode(bus, types_of(), 0, "fleet"), Translation(types_of(), schemas))
 
         def play() -> None:
-            with going_on(lambda keys, line: play_log(bridge, tape, keys, line, rate=4.0, loop=False)):
-                wait_for(lambda: bridge.at_ns == tape.end_ns, LIMIT_S, "the end")
+            with going_on(lambda keys, line: play_log(bridge, seekable, keys, line, rate=4.0, loop=False)):
+                wait_for(lambda: bridge.at_ns == seekable.end_ns, LIMIT_S, "the end")
 
         play()
         with Command("record", "--ros2", "-o", tmp_path / "bag", "--connect", endpoint) as recorder:
@@ -71,7 +71,7 @@ def test_what_cannot_be_recorded_is_told_once(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "bag", types, told.append)
     time = types.new("builtin_interfaces/msg/Time", sec=1, nanosec=0)
     data = types.encode(CLOCK, types.new(CLOCK, clock=time))
-    attachment = pack(Attachment(1, 1, bytes(16)))
+    attachment = pack(RmwAttachment(1, 1, bytes(16)))
     good = Entity(0, "/clock", CLOCK, types.hash(CLOCK))
     humble = Entity(0, "/humble", CLOCK, "TypeHashNotSupported")
     others = [Entity(0, "/clock2", CLOCK, "RIHS01_0").key, Entity(0, "/own", "own_msgs/msg/Own", "RIHS01_0").key]
@@ -98,7 +98,7 @@ def test_a_killed_recorder_leaves_a_bag_that_can_be_recovered(tmp_path: Path) ->
     for second in range(1, 4):
         time = types.new("builtin_interfaces/msg/Time", sec=second, nanosec=0)
         data = types.encode(CLOCK, types.new(CLOCK, clock=time))
-        sample = ZenohSample(entity.key, data, False, "zenoh/bytes", pack(Attachment(second, 1, bytes(16))), None)
+        sample = ZenohSample(entity.key, data, False, "zenoh/bytes", pack(RmwAttachment(second, 1, bytes(16))), None)
         writer.add(sample, second * 1_000_000_000)
     killed = tmp_path / "killed" / "bag"  # as the disk has it now
     shutil.copytree(folder, killed)

@@ -10,9 +10,9 @@ from fleet.addons.robots.ros2.rmw import (
     DEFAULT,
     LATCHED,
     SENSOR,
-    Attachment,
     Entity,
     Qos,
+    RmwAttachment,
     domain_of,
     gid_of,
     node_token,
@@ -93,7 +93,7 @@ def test_qualities_of_service() -> None:
 
 
 def test_an_attachment_has_33_bytes() -> None:
-    attachment = Attachment(1, 1_700_000_000_000_000_000, bytes(range(16)))
+    attachment = RmwAttachment(1, 1_700_000_000_000_000_000, bytes(range(16)))
     data = pack(attachment)
     assert data.hex() == "0100000000000000" + "00002a36fe9c9717" + "10" + "000102030405060708090a0b0c0d0e0f"
     assert len(data) == 33

@@ -24,7 +24,7 @@ from tool import invoke
 from fleet.addons.pictures.style import panels
 from fleet.addons.studies.engine import local_engine
 from fleet.addons.studies.explanation.evidence import evidence, first_older
-from fleet.addons.studies.explanation.no_return import HealingSearch, healed, remake
+from fleet.addons.studies.explanation.no_return import HealingSearch, remake, without_faults_after
 from fleet.addons.studies.explanation.picture import _lanes
 from fleet.addons.studies.explanation.why import Explanation, Question, Why, lines
 from fleet.addons.studies.modules import NO_MODULES
@@ -298,7 +298,7 @@ def test_a_run_that_is_healed_on_the_way_is_that_of_the_healed_scenario(faults: 
     text = f"{LONGER}faults: [{faults}]\n{recovery}formation_error: {{below: 5 m}}, tumbled: waived}}\n"
     scenario = parse_scenario(text, "small.yaml")
     tree, ticks = tree_of(scenario), (4, 12, 18, 26, 34)
-    each = tuple((tick, json.dumps(healed(tree, tick * scenario.tick_ns))) for tick in ticks)
+    each = tuple((tick, json.dumps(without_faults_after(tree, tick * scenario.tick_ns))) for tick in ticks)
     asked = Task("on the way", 0, scenario.seed, scenario.name, json.dumps(tree), 60.0, healed=each)
     alone = [asked._replace(key=str(tick), text=text, healed=()) for tick, text in each]
     rows = {}
@@ -334,13 +334,15 @@ def test_what_healing_leaves_of_a_scenario() -> None:
         "checks": {"recovery_time": [{"fault": "later", "below": "1 s"}, {"fault": "every", "below": "1 s"}],
                    "signal": {"topic": "state.z", "fault": "later"}},
     }  # fmt: skip
-    found = healed(tree, 2_500_000_000)
+    found = without_faults_after(tree, 2_500_000_000)
     assert found["faults"] == [
         {"id": "f1", "at": "1 s", "for": "1.5 s", "kill": "1"}, {"id": "on", "at": "2 s", "for": "500 ms", "deaf": "2"},
     ]  # fmt: skip
     assert found["checks"] == {"recovery_time": [{"fault": "every", "below": "1 s"}]}
-    assert healed(tree, 0)["faults"] == []
-    assert healed(tree, 3_500_000_000)["faults"][0] == tree["faults"][0] | {"id": "f1"}  # it is over by then
+    assert without_faults_after(tree, 0)["faults"] == []
+    assert without_faults_after(tree, 3_500_000_000)["faults"][0] == tree["faults"][0] | {
+        "id": "f1"
+    }  # it is over by then
 
 
 def test_signals_that_are_true_or_false_have_lanes_of_their_own() -> None:

@@ -14,7 +14,7 @@ from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.look import COLUMN_IN
 from fleet.addons.studies.borders import Borders, Theory, find_borders, parse_along, prepare_borders
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.pictures.border import PASSED, _stacked, draw_borders, write_borders
+from fleet.addons.studies.pictures.border import PASSED, _stack_dots, draw_borders, write_borders
 from fleet.addons.studies.pictures.gallery import plot
 from fleet.addons.studies.plan import Plan
 from fleet.addons.studies.spec import BoundarySpec
@@ -57,7 +57,7 @@ def test_one_key_goes_to_the_right_and_runs_are_marked() -> None:
     assert heights[:2] == [pytest.approx(55.0, abs=5.0)] * 2
     assert heights[2] == 0.0
     dots = [line for line in ax.lines if line.get_marker() == "."]
-    assert len(dots) == sum(border.runs for border in borders.found())
+    assert len(dots) == sum(border.runs for border in borders.estimates())
     # A reviewer wants no title and no bands, which no number stands for: the words are below.
     assert "a = 10" in caption_of(figure) and not ax.get_title() and not figure.get_suptitle() and not ax.patches
 
@@ -79,11 +79,11 @@ def test_words_alone_stand_below_each_other() -> None:
     dots = [
         (line.get_xdata()[0], line.get_ydata()[0], line.get_color()) for line in ax.lines if line.get_marker() == "."
     ]
-    assert len(set(dots)) == sum(border.runs for border in borders.found())  # none covers another one
+    assert len(set(dots)) == sum(border.runs for border in borders.estimates())  # none covers another one
 
 
 def test_a_stack_of_many_runs_has_a_dot_for_each() -> None:
-    stack = list(_stacked([(3, True)] * 40 + [(3, False)], 0.17, 0.07, 0.45))
+    stack = list(_stack_dots([(3, True)] * 40 + [(3, False)], 0.17, 0.07, 0.45))
     away = [y for _, y, colour in stack if colour == PASSED]
     assert len(set(away)) == 40 and min(away) == pytest.approx(-0.45) and max(away) == pytest.approx(-0.17)
     assert [y for _, y, colour in stack if colour != PASSED] == [0.17]

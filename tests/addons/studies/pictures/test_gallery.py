@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.look import COLUMN_IN, PAGE_IN
 from fleet.addons.studies.errors import StudyError
-from fleet.addons.studies.measures import more_is_better
 from fleet.addons.studies.pictures.gallery import draw, plot, write
 from fleet.addons.studies.pictures.marks import REASONS
 from fleet.addons.studies.pictures.points import MADE, Points, VariedKey, joined, load
+from fleet.addons.studies.signal_measures import more_is_better
 from fleet.addons.studies.store import Store
 from fleet.errors import FleetError
 

@@ -58,7 +58,7 @@ def test_what_does_not_belong_together_is_said(study: Path, tmp_path: Path, monk
 def test_without_the_extra_one_line_says_what_to_install(
     study: Path, verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fleet.addons.studies.engine.find_spec", lambda name: None)
+    monkeypatch.setattr("fleet.addons.studies.engine_interface.find_spec", lambda name: None)
     found = invoke(verb, study, "-o", tmp_path / "out")
     assert found.exit_code == 2
     assert found.stderr.splitlines()[0].endswith("pip install 'uuv-fleet[study]'")

@@ -153,7 +153,7 @@ def evidence(
 
 
 def first_older(
-    log: Log, links: Collection[Link], below_s: float, after_s: float, *, from_first_packet: bool
+    log: Log, links: Collection[Link], below_s: float, after_s: float, end_s: float, *, from_first_packet: bool
 ) -> tuple[float, Link] | None:
     """When the newest that had arrived on one of these links was first as old as a limit, and the link; None: never.
 
@@ -162,6 +162,7 @@ def first_older(
         links: the links.
         below_s: the limit [s].
         after_s: earlier times do not count [s].
+        end_s: when the run ended [s].
         from_first_packet: whether the age of a link counts from its first packet, and not from the beginning.
     """
     found: list[tuple[float, Link]] = []
@@ -174,7 +175,7 @@ def first_older(
         heard_s = arrived_s = float(topic["sent"].min()) if from_first_packet else log.begin
         for due_s, sent_s in [*arrivals, (inf, inf)]:
             broken_s = max(heard_s + below_s, arrived_s, after_s)
-            if broken_s < due_s - 1e-9 and broken_s <= log.end + 1e-9:
+            if broken_s < due_s - 1e-9 and broken_s <= end_s + 1e-9:
                 found.append((broken_s, link))
                 break
             heard_s, arrived_s = max(heard_s, sent_s), due_s

@@ -33,7 +33,9 @@ from fleet.logs.schemas import CLOCK, FROM
 from fleet.mcap.reader import digest
 from fleet.repeat.recorded_run import Recorded, read_recorded_run
 from fleet.result.file import ResultError, read_result
+from fleet.result.result import Result
 from fleet.result.verdict import Verdict
+from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.scenario.text.yaml_writer import inline
 from fleet.scenario.trust import Policy
@@ -171,7 +173,7 @@ class Explanation:
             share=lambda share: self._on_progress(f"reading the log, {100 * share:.0f} %", 0),
         )
         begin, failed_s, failing = self._when(log)
-        at_s = min(failed_s, log.end)
+        at_s = min(failed_s, _end_s(log, self.scenario))
         own = bool(self.scenario.nodes) or any(control.agent is not None for control in self.scenario.controls)
         verdict = self.verdict
         moves = not self.scenario.spec.moored
@@ -197,8 +199,8 @@ class Explanation:
         else:
             margin = self.verdict.margin  # its time is that of the worst value, not of the first beyond the limit
             begin, at_s = log.begin, log.end if margin is None or margin.at_s is None else margin.at_s
-        if at_s > log.end:
-            self._notes.append(f"the log ends at {log.end:g} s, before the check fails; this explains its end")
+        if at_s > (end_s := _end_s(log, self.scenario)):
+            self._notes.append(f"the log ends at {end_s:g} s, before the check fails; this explains its end")
         return begin, at_s, failing
 
     def _older(self, log: Log) -> tuple[float, Link] | None:
@@ -208,16 +210,29 @@ class Explanation:
             return None
         links = select(parse_selector(asked.links), self.scenario.graph.links)
         below_s, after_s = asked.below / 1e9, asked.after / 1e9
-        return first_older(log, links, below_s, after_s, from_first_packet=bool(self.scenario.nodes))
+        end_s = _end_s(log, self.scenario)
+        return first_older(log, links, below_s, after_s, end_s, from_first_packet=bool(self.scenario.nodes))
 
 
 def _recorded_verdicts(log: Path, known: str | None = None) -> list[Verdict]:
-    """The verdicts in the result beside a log. Empty: there is none, or it is of another log. `known`: the digest."""
+    """The verdicts in the result beside a log, if there is one. `known`: the digest."""
+    result = _recorded_result(log, known)
+    return [] if result is None else result.checks
+
+
+def _recorded_result(log: Path, known: str | None = None) -> Result | None:
+    """The result beside a log. None: there is none, or it is of another log. `known`: the digest."""
     try:
         result = read_result(log.parent)
     except (FileNotFoundError, ResultError):
-        return []
-    return result.checks if result.digest == (known or open_log(log, []).digest) else []
+        return None
+    return result if result.digest == (known or open_log(log, []).digest) else None
+
+
+def _end_s(log: Log, scenario: Scenario) -> float:
+    """When the run of a log ended [s]. Of nodes it has packets alone, and the last one may have come long before."""
+    result = _recorded_result(log.path) if scenario.nodes else None
+    return log.end if result is None else max(log.end, result.sim_s)
 
 
 def _tree(text: str) -> Any:

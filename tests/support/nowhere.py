@@ -46,7 +46,7 @@ class Nowhere:
     def channel(self, key: str, capacity: int = 0) -> Nowhere:
         return self
 
-    def stamped(self, key: str) -> Nowhere:
+    def stamped_queue(self, key: str) -> Nowhere:
         return self
 
     def get(self, timeout: float | None = None) -> Any:

@@ -21,7 +21,7 @@ from fleet.result.file import read_result
 from fleet.result.result import Result, Status
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="the library for programs is compiled by cc")
-LESSON = (ROOT / "docs" / "learn" / "10-your-modem-code.md").read_text("utf-8")
+LESSON = (ROOT / "docs" / "learn" / "9-your-modem-code.md").read_text("utf-8")
 BLOCKS = dict(re.findall(r"```(yaml|python)\n(.*?)```", LESSON, re.DOTALL)[::-1])  # the first of each language
 WATER = {"acoustic": {"modem": "s2c", "queue": 4}}
 PLACES = {"a": "0 0 10 m", "b": "900 0 10 m"}

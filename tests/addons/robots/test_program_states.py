@@ -92,7 +92,7 @@ def test_a_program_that_has_done_its_work_is_not_gone(tmp_path: Path) -> None:
     found.advance(3000)
     assert (words(found.values(1)), words(found.values(2)), found.gone) == ("7 0 -", "", [2])
     assert lives(found) == [ProgramChange(3000, 2)]
-    verdict = found.verdict()
+    verdict = found.verdict(sent=True)
     assert verdict is not None and verdict.failed
     assert verdict.found == 'm2 exited with status 3 at 0.00 s: "last words"'
     assert found.deaths() == {2: ["m2 exited with status 3 at 0.00 s", "last words"]}
@@ -132,7 +132,7 @@ def test_what_ends_after_the_run_is_no_failure(tmp_path: Path) -> None:
     found.ends_at(5000)
     found.say(5000, ended="m1", code=-15, tail=[])
     found.advance(6000)
-    verdict = found.verdict()
+    verdict = found.verdict(sent=True)
     assert verdict is not None and (verdict.passed, verdict.found) == (True, "all 3")
 
 
@@ -143,7 +143,7 @@ def test_of_many_that_failed_four_are_named(tmp_path: Path) -> None:
     for name in programs:
         found.say(2000, ended=name, code=1, tail=[])
     found.advance(2000)
-    verdict = found.verdict()
+    verdict = found.verdict(sent=True)
     assert verdict is not None
     assert (verdict.found.count("exited"), verdict.found[-11:], verdict.value) == (4, " and 2 more", 6)
 

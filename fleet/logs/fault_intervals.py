@@ -22,16 +22,19 @@ class FaultMessage(NamedTuple):
     what: str  # in words
     entry: str  # the same as data
 
+    @classmethod
+    def read(cls, fault: str, action: str, what: str, names: Sequence[str]) -> FaultMessage:
+        """A log has a fault in the words of a scenario, which are read here and nowhere else."""
+        return cls(fault, action, what, entry_of_words(what, tuple(names)))
+
 
 def fault_message(message: Any, names: Sequence[str] = ()) -> FaultMessage | None:
-    """A message of the topic `faults`, as it was decoded. None: it is not one of ours. A log has a fault in the words
-    of a scenario, which are read here and nowhere else. `names`: of the nodes.
-    """
+    """A message of the topic `faults`, as it was decoded. None: it is not one of ours. `names`: of the nodes."""
     found = [getattr(message, field, None) for field in ("fault", "action", "what")]
     if not all(isinstance(text, str) for text in found):
         return None
     fault, action, what = map(str, found)
-    return FaultMessage(fault, action, what, entry_of_words(what, tuple(names)))
+    return FaultMessage.read(fault, action, what, names)
 
 
 class FaultTime(Struct, frozen=True):
@@ -59,7 +62,7 @@ def fault_intervals(topic: Topic, end: float, names: Sequence[str] = ()) -> list
     if not len(topic):
         return []
     columns = zip(topic["fault"], topic["action"], topic["what"], strict=True)
-    messages = [FaultMessage(*row, entry_of_words(row[2], tuple(names))) for row in columns]
+    messages = [FaultMessage.read(*row, names) for row in columns]
     return intervals(zip(topic.t, messages, strict=True), end)
 
 

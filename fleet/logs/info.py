@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 from fleet.errors import printable
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import FaultTime, fault_message, intervals
-from fleet.logs.schemas import NODES
+from fleet.logs.schemas import node_names
 from fleet.mcap.reader import LogReader, OnProgress, Record, log_path, log_size
 from fleet.mcap.traffic import is_attachment
 from fleet.scenario.sections.timeline import FaultInterval
@@ -91,7 +91,7 @@ def read_info(path: Path, on_progress: OnProgress = lambda _: None) -> Info:
 def _intervals(reader: LogReader, happened: list[Record], end: float) -> list[FaultInterval]:
     """Faults and events of vehicles; none in the file of a stranger, whose messages may hold anything."""
     decode = Decoder(reader)
-    names = reader.metadata.get("run", {}).get(NODES, "").split()
+    names = node_names(reader.metadata.get("run", {}))
     read = ((record.log_ns / 1e9, fault_message(decode.message(record), names)) for record in happened)
     return intervals(((at_s, message) for at_s, message in read if message is not None), end)
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from fleet.logs.fault_intervals import fault_intervals
-from fleet.logs.schemas import FROM_TICK, NODES
+from fleet.logs.schemas import FROM_TICK, node_names
 from fleet.logs.topic import STEP, LogKeyError, Topic
 from fleet.logs.topic_names import link_of
 from fleet.mcap.digest import Digest
@@ -255,8 +255,7 @@ class Log:
 
     @cached_property
     def _intervals(self) -> list[FaultInterval]:
-        names = self.run.get(NODES, "").split()
-        return fault_intervals(self["faults"], self.end, names) if "faults" in self else []
+        return fault_intervals(self["faults"], self.end, node_names(self.run)) if "faults" in self else []
 
 
 def open_log(

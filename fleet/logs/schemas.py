@@ -24,7 +24,7 @@ from netem.wire.messages import END, ERR, FAILED, OUT, Said
 from world.signal import Signal
 
 PACKAGE = "uuv_fleet"
-NODES = "nodes"  # key in metadata `run`: the names of the nodes, in the order of their numbers
+NODES = "nodes"  # key in metadata `run`: the names of the nodes, in the order of their numbers; `node_names`
 CLOCK = "clock"  # key in metadata `run`, where the run was not in lockstep, and so is not repeatable
 START = "start.json"  # the attachment of a log that holds where its run began, if that went on from another
 OLD_START = "start.msgpack"  # START in a log with snapshots, as versions before wrote it
@@ -56,6 +56,11 @@ class Schema:
     descriptor_set: bytes
     message: Callable[..., Any]
     units: str  # JSON: column -> [unit, meaning]
+
+
+def node_names(run: Mapping[str, str]) -> list[str]:
+    """The names of the nodes, by the metadata `run` of a log; none: it is of vehicles."""
+    return run.get(NODES, "").split()
 
 
 def signal_columns(declared: tuple[Signal, ...]) -> tuple[MessageField, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 from fleet.errors import FleetError
 from fleet.logs.decoder import Decoder
 from fleet.logs.fault_intervals import FaultMessage, fault_message
-from fleet.logs.schemas import CLOCK, FAULT, FROM, NODES
+from fleet.logs.schemas import CLOCK, FAULT, FROM, NODES, node_names
 from fleet.mcap.reader import LogReader, OnProgress, Record, log_path
 from fleet.quantities import show_time
 from fleet.scenario.loading import parse_scenario
@@ -88,7 +88,7 @@ def read_recorded_run(path: Path, on_progress: OnProgress = lambda _: None) -> R
             )
     attached = _attached_scenario(path, reader)
     decode = Decoder(reader)
-    names = reader.metadata.get("run", {}).get(NODES, "").split()
+    names = node_names(reader.metadata.get("run", {}))
     events = [(record.log_ns, fault_message(decode.ours(record, FAULT), names)) for record in happened]
     ours = [(at_ns, event) for at_ns, event in events if event is not None]
     return Recorded(path, reader, attached, ours, reader.last_ns)

@@ -13,7 +13,7 @@ from typing import Any
 from fleet.addons.page.chart_signals import published_signals
 from fleet.addons.page.feed import FAULTS, MOST_CHARTED, TRANSFORMS, checks_asked, checks_so_far, take
 from fleet.addons.page.source import LiveSource
-from fleet.addons.page.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState
+from fleet.addons.page.view_state import NOT_PLACED, SAMPLE_S, Row, ViewState, fault_row
 from fleet.execution.connection import OpenConnection, RemoteError, find, is_live
 from fleet.execution.directory import SCENARIO, is_in_use
 from fleet.logs.topic_names import BELIEFS, link_of
@@ -23,6 +23,7 @@ from fleet.replay.topics import ask_scenario, ask_topics
 from fleet.result.file import RESULT
 from fleet.scenario.loading import parse_scenario
 from fleet.scenario.sections.signal_checks import checked_signals
+from fleet.scenario.sections.timeline import FaultInterval
 
 
 class LiveFeed:
@@ -126,10 +127,10 @@ class LiveFeed:
             known = self.ask("faults")
             events = known["events"]
             lasting = [
-                {"id": row["id"], "what": row["what"], "entry": row["entry"], "from_s": row["last_s"],
-                 "to_s": self._status["end_s"], "until_healed": False}
-                for row in events if row["lasts"]
-            ]  # fmt: skip
+                fault_row(FaultInterval(row["id"], row["last_s"], self._status["end_s"], row["what"], row["entry"]))
+                for row in events
+                if row["lasts"]
+            ]
             self.picture.faults([*known["faults"], *lasting])
             self.picture.set_vehicle_events(events)
             self.checks = checks_so_far(self.ask("checks")["checks"])

@@ -99,7 +99,7 @@ def draw_ways_in_space(ax: Any, ways: Sequence[BelievedWay]) -> None:
             ax.add_collection3d(Poly3DCollection(corners, **style, **_AREA))
 
 
-# What begins a fault's text -> (what became of the vehicle, mark).
+# Kind of a fault, or what befell a vehicle -> (what became of it, mark).
 MARKS = {"kill": ("agent dead", "X"), TUMBLED: (TUMBLED, "*"), DIVERGED: (DIVERGED, "P")}
 _ARROWS = 3  # per track
 

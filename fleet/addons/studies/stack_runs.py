@@ -74,7 +74,7 @@ class StackRuns:
                         task, tries = again.popleft()
                     elif (new := next(tasks, None)) is not None:
                         task, tries = new, 1
-                        self._look_at_ports(task)
+                        self._look_at(task)
                     else:
                         more = False
                         continue
@@ -95,8 +95,8 @@ class StackRuns:
             for run in under_way:
                 run.end()
 
-    def _look_at_ports(self, task: Task) -> None:
-        """Notice that the file names ports, which one run at a time can have."""
+    def _look_at(self, task: Task) -> None:
+        """Tell that each run takes its time, and notice that the file names ports, which one run at a time can have."""
         if self._one:
             return
         with suppress(FleetError):  # the run says it

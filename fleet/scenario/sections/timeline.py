@@ -138,8 +138,3 @@ def surroundings(spec: ScenarioSpec, links: Sequence[Link]) -> Surroundings:
 def acts(found: Sequence[Part]) -> bool:
     """Whether the parts of a fault concern anything: one of links may find none in the graph."""
     return any(not isinstance(part, NetFault) or part.links or part.vehicles for part in found)
-
-
-def words(section: FaultSection, names: Sequence[str] = ()) -> str:
-    """A fault as a scenario writes it, without its times. `names`: of the nodes, if it has some."""
-    return words_of(entry_of(section), names)

@@ -1,4 +1,4 @@
-"""What a program that failed had printed last: the reason, where it is told."""
+"""A program that failed is told with the line that has the reason, or else with its last one."""
 
 from __future__ import annotations
 

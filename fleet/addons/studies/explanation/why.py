@@ -35,7 +35,6 @@ from fleet.repeat.recorded_run import Recorded, read_recorded_run
 from fleet.result.file import ResultError, read_result
 from fleet.result.result import Result
 from fleet.result.verdict import Verdict
-from fleet.scenario.scenario import Scenario
 from fleet.scenario.text.yaml_reader import Source, plain, read
 from fleet.scenario.text.yaml_writer import inline
 from fleet.scenario.trust import Policy
@@ -97,7 +96,10 @@ class Explanation:
         self.path = source.path
         self._why_not = _why_not(source, question)
         self.scenario = source.script(policy=Policy())
-        recorded_verdicts = _recorded_verdicts(source.path)
+        result = _recorded_result(source.path)
+        recorded_verdicts = [] if result is None else result.checks
+        # Of nodes a log has packets alone, and the last one may have come long before the end of the run.
+        self._ended_s = result.sim_s if result is not None and self.scenario.nodes else 0.0
         known = [*check_names([self.scenario]), *(one.check for one in recorded_verdicts)]
         if question.check is not None and question.check not in known:
             hint = nearest(question.check, known) or f"it has {', '.join(dict.fromkeys(known))}"
@@ -156,7 +158,8 @@ class Explanation:
         keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
         differs = [f"{key}: {_change(before.get(key), now.get(key))}" for key in keys]
         self._notes.append(f"it goes on from {path}, " + ("with changes" if differs else "with the same scenario"))
-        verdicts = _recorded_verdicts(origin.path, known)
+        result = _recorded_result(origin.path, known)
+        verdicts = [] if result is None else result.checks
         if any(one.failed for one in verdicts):
             self._why_not += f"; fleet why {shlex.quote(str(origin.path))} explains the run that it goes on from"
         return differs, verdicts
@@ -173,7 +176,7 @@ class Explanation:
             share=lambda share: self._on_progress(f"reading the log, {100 * share:.0f} %", 0),
         )
         begin, failed_s, failing = self._when(log)
-        at_s = min(failed_s, _end_s(log, self.scenario))
+        at_s = min(failed_s, self._end_s(log))
         own = bool(self.scenario.nodes) or any(control.agent is not None for control in self.scenario.controls)
         verdict = self.verdict
         moves = not self.scenario.spec.moored
@@ -199,7 +202,7 @@ class Explanation:
         else:
             margin = self.verdict.margin  # its time is that of the worst value, not of the first beyond the limit
             begin, at_s = log.begin, log.end if margin is None or margin.at_s is None else margin.at_s
-        if at_s > (end_s := _end_s(log, self.scenario)):
+        if at_s > (end_s := self._end_s(log)):
             self._notes.append(f"the log ends at {end_s:g} s, before the check fails; this explains its end")
         return begin, at_s, failing
 
@@ -210,14 +213,12 @@ class Explanation:
             return None
         links = select(parse_selector(asked.links), self.scenario.graph.links)
         below_s, after_s = asked.below / 1e9, asked.after / 1e9
-        end_s = _end_s(log, self.scenario)
-        return first_older(log, links, below_s, after_s, end_s, from_first_packet=bool(self.scenario.nodes))
+        nodes = bool(self.scenario.nodes)
+        return first_older(log, links, below_s, after_s, self._end_s(log), from_first_packet=nodes)
 
-
-def _recorded_verdicts(log: Path, known: str | None = None) -> list[Verdict]:
-    """The verdicts in the result beside a log, if there is one. `known`: the digest."""
-    result = _recorded_result(log, known)
-    return [] if result is None else result.checks
+    def _end_s(self, log: Log) -> float:
+        """When the run of the log ended [s]."""
+        return max(log.end, self._ended_s)
 
 
 def _recorded_result(log: Path, known: str | None = None) -> Result | None:
@@ -227,12 +228,6 @@ def _recorded_result(log: Path, known: str | None = None) -> Result | None:
     except (FileNotFoundError, ResultError):
         return None
     return result if result.digest == (known or open_log(log, []).digest) else None
-
-
-def _end_s(log: Log, scenario: Scenario) -> float:
-    """When the run of a log ended [s]. Of nodes it has packets alone, and the last one may have come long before."""
-    result = _recorded_result(log.path) if scenario.nodes else None
-    return log.end if result is None else max(log.end, result.sim_s)
 
 
 def _tree(text: str) -> Any:

@@ -15,11 +15,16 @@ from fleet.quantities import show_time
 from fleet.scenario.catalogue import shipped_scenarios
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.schema.faults import ACTIONS, FaultEntry, FaultSection
-from fleet.scenario.sections.timeline import words
+from fleet.scenario.sections.fault_entry import entry_of, words_of
 from fleet.scenario.text.fault_words import FaultWordsError, example, read_fault
 from netem.grammar import print_condition
 
 ENTRY: TypeAdapter[FaultSection] = TypeAdapter(FaultEntry)
+
+
+def words(fault: FaultSection) -> str:
+    """A fault in the words of the log."""
+    return words_of(entry_of(fault))
 
 
 def told(fault: FaultSection) -> str:

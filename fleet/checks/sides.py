@@ -25,10 +25,11 @@ def _parts(fault: Fault, around: Surroundings) -> list[Part]:
 
 class ReachableGroups:
     """The sides of a fleet, tick by tick: `groups`, each with its vehicles by number, in the order of their first
-    vehicles, `since` when [s], and the vehicles that are paused.
+    vehicles, `since` when [s], and the vehicles that are paused. `links_since` [s]: when the links between them changed
+    last, which may leave the sides as they are.
 
-    Two vehicles are on one side if links that no `partition`, `down`, `mute` or `deaf` cuts lead from each to the
-    other, also through others. A vehicle that is paused or has no agent is on none. Losses by the condition of a link
+    Two vehicles are on one side if links that no `partition`, `down`, `hold`, `mute` or `deaf` cuts lead from each to
+    the other, also through others. A vehicle that is paused or has no agent is on none. Losses by the condition of a link
     itself do not count.
     """
 
@@ -36,7 +37,8 @@ class ReachableGroups:
         self._facts = facts
         self._key: tuple[tuple[Fault, ...], tuple[int, ...]] | None = None
         self.groups: tuple[tuple[int, ...], ...] = ()
-        self.since = facts.begin
+        self._links: frozenset[tuple[int, int]] = frozenset()
+        self.since = self.links_since = facts.begin
         self.suspended: frozenset[int] = frozenset()
 
     def update(self, tick: Tick) -> None:
@@ -45,12 +47,17 @@ class ReachableGroups:
         if self._key == (tick.faults, alive):
             return
         first, self._key = self._key is None, (tick.faults, alive)
-        groups = self._groups(tick.faults, alive)
+        groups, links = self._groups(tick.faults, alive)
+        now = self._facts.begin if first else tick.t
+        if links != self._links:
+            self._links, self.links_since = links, now
         if groups != self.groups:
-            self.groups = groups
-            self.since = self._facts.begin if first else tick.t
+            self.groups, self.since = groups, now
 
-    def _groups(self, faults: Iterable[Fault], alive: Iterable[int]) -> tuple[tuple[int, ...], ...]:
+    def _groups(
+        self, faults: Iterable[Fault], alive: Iterable[int]
+    ) -> tuple[tuple[tuple[int, ...], ...], frozenset[tuple[int, int]]]:
+        """The sides, and the links between living vehicles that nothing cuts."""
         links = set(self._facts.links)
         around = Surroundings(self._facts.vehicles, self._facts.seed, tuple(self._facts.links))
         parts = [part for fault in sorted(faults, key=lambda fault: fault.since) for part in _parts(fault, around)]
@@ -58,15 +65,14 @@ class ReachableGroups:
         absent = {i for part in parts if isinstance(part, WorldFault) and part.kind == "pause" for i in part.vehicles}
         self.suspended = frozenset(absent)
         links -= {*net.cut, *net.hold}
-        links = {(a, b) for a, b in links if a not in net.mute and b not in net.deaf}
         there = [i for i in alive if i not in absent]
+        links = {(a, b) for a, b in links if a not in net.mute and b not in net.deaf and a in there and b in there}
         heard_by: dict[int, list[int]] = {i: [] for i in there}
         for source, target in sorted(links):
-            if source in heard_by and target in heard_by:
-                heard_by[source].append(target)
+            heard_by[source].append(target)
         hearers = {i: reachable([i], heard_by) for i in there}
         groups = {tuple(j for j in there if j in hearers[i] and i in hearers[j]) for i in there}
-        return tuple(sorted(groups))
+        return tuple(sorted(groups)), frozenset(links)
 
 
 Sides = ReachableGroups  # its name until version 1.0, which checks of users import

@@ -117,7 +117,7 @@ class TrueMean:
 
     def __init__(self, facts: Facts, *, below: float = 0.01, within: str = "10 s") -> None:
         """`below`: the greatest error of an average [degC]. `within`: the time allowed after the start, and after every
-        change of the sides."""
+        change of the links. If one of a ring fails, the sides stay, but both its ends take back what they gave."""
         self._below, self._within = below, seconds(within)
         self._sides = ReachableGroups(facts)
         self._found = ""
@@ -126,7 +126,7 @@ class TrueMean:
     def step(self, tick: Tick) -> Failure | None:
         """Compare the averages with the mean, on every side."""
         self._sides.update(tick)
-        if tick.t - self._sides.since < self._within:
+        if tick.t - max(self._sides.since, self._sides.links_since) < self._within:
             return None
         worst = 0.0
         for side in self._sides.groups:
@@ -149,7 +149,7 @@ class TrueMean:
 
     def verdict(self) -> str | NotJudged:
         """How far off the averages were last."""
-        return self._found or NotJudged("no sample: the sides changed again, or the run ended, before it was judged")
+        return self._found or NotJudged("no sample: the links changed again, or the run ended, before it was judged")
 
     def margin(self) -> Margin | None:
         """How much farther off an average could have been."""

@@ -66,3 +66,15 @@ def test_what_matters_is_when_the_sides_changed() -> None:
         sides.update(tick(t, *faults))
         changes.append(sides.since)
     assert changes == [0.0, 1.0, 1.0, 3.0]  # the begin of the run; and another fault changes no side
+
+
+def test_a_link_may_change_and_leave_the_sides() -> None:
+    ring = Facts("four", 1, 4, 10.0, 0.01, 0.0, (*PATH, (4, 1), (1, 4)), {})
+    sides = ReachableGroups(ring)
+    sides.update(tick(0.0))
+    sides.update(tick(2.0, "hold 1->2"))
+    assert (sides.groups, sides.since, sides.links_since) == (ALL, 0.0, 2.0)
+    sides.update(tick(3.0, "hold 1->2", "slow {vehicles: 1, by: 5 ticks}"))
+    assert sides.links_since == 2.0
+    sides.update(tick(4.0))
+    assert (sides.since, sides.links_since) == (0.0, 4.0)

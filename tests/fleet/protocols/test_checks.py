@@ -57,6 +57,16 @@ def test_true_mean(history: list[Any], at: float | None, vehicles: tuple[int, ..
     assert (found and found[0], found[1].vehicles if found else ()) == (at, vehicles)
 
 
+@pytest.mark.parametrize("fault", ["hold 1->2", "hold {links: 1->2, order: reversed}", "down 1->2"])
+def test_true_mean_waits_after_a_link_that_leaves_the_sides_as_they_are(fault: str) -> None:
+    """A search of the sound protocol found it: one end took back what the other one had not yet given back."""
+    check = TrueMean(FACTS, below=0.1, within="2 s")
+    sane, off = (30.0,) * 3, (30.0, 32.0, 30.0)
+    history = [(0.0, (), sane), (3.0, (), sane), (5.0, (fault,), off), (6.9, (fault,), off), (7.0, (fault,), off)]
+    found = first_failure(check, [(t, on, MEASURED, averages) for t, on, averages in history], ("measured", "average"))
+    assert found is not None and found[0] == 7.0
+
+
 def test_true_mean_that_was_never_judged_is_no_pass() -> None:
     check = TrueMean(FACTS, below=0.1, within="2 s")
     history = [(0.0, (), MEASURED, MEASURED), (1.5, CUT, MEASURED, MEASURED), (3.4, CUT, MEASURED, MEASURED)]

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
-from netem.errors import TextError
+from netem.errors import SelectorError, TextError
 from netem.parsing import exact_number, nearest
 from world.vectors import Vec3
 
@@ -88,6 +88,17 @@ DIMENSIONS = (
 
 class QuantityError(TextError):
     """A text, or a value in its place, that is not the quantity it should be."""
+
+
+class UnknownVehicle(SelectorError, QuantityError):
+    """A number, or a text in its place, that no vehicle has."""
+
+    def __init__(self, message: str, got: str, hint: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.got = got
+
+    def _in_names(self, names: Sequence[str]) -> str:
+        return f"there is no node {self.got}: the nodes are {', '.join(names)}"
 
 
 def parse(value: Any, dimension: Dimension, count: int = 1) -> tuple[Fraction, ...]:
@@ -289,21 +300,28 @@ def vehicle_numbers(text: str) -> list[int]:
         Their numbers, in the order of the text.
 
     Raises:
-        QuantityError: it is no such text, or names none.
+        UnknownVehicle: it is no such text.
+        QuantityError: it names none.
     """
     numbers: list[int] = []
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,4})\s*(?:-\s*(\d{1,4})\s*)?", part, re.ASCII)
         if match is None:
-            raise QuantityError(f'expected vehicle numbers such as "3" or "2-4, 7", got {describe_value(text)}')
+            wanted = 'expected vehicle numbers such as "3" or "2-4, 7", got'
+            raise UnknownVehicle(f"{wanted} {describe_value(text)}", text.strip()[:40])
         numbers += range(int(match[1]), int(match[2] or match[1]) + 1)
     if not numbers:
         raise QuantityError(f"names no vehicle: {describe_value(text)}")
     return numbers
 
 
-def vehicle_names(vehicles: Sequence[int]) -> str:
-    """`vehicle 3`, or `vehicles 3, 4 and 5 more`."""
-    shown = ", ".join(map(str, vehicles[:8]))
+def unknown_vehicle(number: int, vehicles: int) -> UnknownVehicle:
+    """The mistake that a number is, if there are only so many vehicles."""
+    return UnknownVehicle(f"there is no vehicle {number}: the vehicles are 1 to {vehicles}", str(number))
+
+
+def vehicle_names(vehicles: Sequence[int], name: Callable[[int], str] = str) -> str:
+    """`vehicle 3`, or `vehicles 3, 4 and 5 more`; `name`: what each is called."""
+    shown = ", ".join(map(name, vehicles[:8]))
     more = f" and {len(vehicles) - 8} more" if len(vehicles) > 8 else ""
     return f"vehicle{'s' if len(vehicles) > 1 else ''} {shown}{more}"

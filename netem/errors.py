@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 class NetemError(Exception):
     """Base of every error of this package."""
@@ -21,6 +23,26 @@ class TextError(NetemError):
         self.message = message
         self.column = column
         self.hint = hint
+
+
+class SelectorError(TextError):
+    """A text that should name vehicles or links, and does not. Who knows what the vehicles are called says it with
+    `in_names`.
+    """
+
+    def in_names(self, names: Sequence[str]) -> str:
+        """What is wrong, for vehicles that have names.
+
+        Args:
+            names: of all vehicles, in the order of their numbers; fewer than two: they have none.
+
+        Returns:
+            The message, in one line.
+        """
+        return self.message if len(names) < 2 else self._in_names(names)
+
+    def _in_names(self, names: Sequence[str]) -> str:
+        raise NotImplementedError
 
 
 class MalformedMessage(NetemError):

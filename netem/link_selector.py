@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from netem.condition import Link
-from netem.errors import TextError
+from netem.errors import SelectorError, TextError
 from netem.parsing import quoted
 
 
@@ -39,6 +39,21 @@ class Selector:
         return self.src in (None, link[0]) and self.dst in (None, link[1])
 
 
+class NoLink(SelectorError):
+    """A text that names no link."""
+
+    def __init__(self, got: str) -> None:
+        super().__init__(self._expected(got, "1", "2"))
+        self.got = got
+
+    def _in_names(self, names: Sequence[str]) -> str:
+        return self._expected(self.got, *names[:2])
+
+    @staticmethod
+    def _expected(got: str, a: str, b: str) -> str:
+        return f'{quoted(got)} is no link: write "*", "{a}->{b}", "{a}<->{b}", "{a}->*" or "*->{b}"'
+
+
 _SELECTOR = re.compile(r"\s*(\*|\d{1,9})\s*(<?->)\s*(\*|\d{1,9})\s*", re.ASCII)
 
 
@@ -48,7 +63,7 @@ def parse_selector(text: str) -> Selector:
         return Selector(None, None)
     match = _SELECTOR.fullmatch(text)
     if match is None:
-        raise TextError(f'{quoted(text)} is no link: write "*", "1->2", "1<->2", "1->*" or "*->2"')
+        raise NoLink(text)
     src, arrow, dst = match.groups()
     if src == dst and src != "*":
         raise TextError(f"vehicle {src} has no link to itself")

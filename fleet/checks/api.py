@@ -58,6 +58,18 @@ class Facts(NamedTuple):
     begin: float  # where the run begins [s]: 0, or the moment from which it goes on
     links: tuple[tuple[int, int], ...]  # directed: sender, receiver
     units: Mapping[int, Mapping[str, str]]  # by vehicle and signal, "1" of one without
+    names: tuple[str, ...] = ()  # of nodes, in the order of their numbers; (): vehicles are called by their numbers
+
+    def name(self, vehicle: int) -> str:
+        """How messages call a vehicle.
+
+        Args:
+            vehicle: its number, 1 to `vehicles`.
+
+        Returns:
+            The name of a node, or the number.
+        """
+        return self.names[vehicle - 1] if self.names else str(vehicle)
 
 
 class Packet(NamedTuple):

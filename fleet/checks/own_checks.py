@@ -6,7 +6,6 @@ can name a message that arrives at the very tick of the failure.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import isfinite
 
@@ -21,7 +20,6 @@ from fleet.logs.payload_kinds import STATE, kind_of
 from fleet.result.verdict import LastMessage, Moment, Verdict
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.sections.fault_entry import DIVERGED, entry_kind, entry_vehicles, words_of
-from fleet.scenario.sections.node_names import to_names
 from fleet.scenario.sections.node_signals import node_signals
 from fleet.scenario.sections.signal_checks import ask
 from fleet.scenario.sections.signals import GROUPS, VehicleSignals
@@ -117,17 +115,10 @@ class OwnChecks:
         for check in each:
             moment = self._moments.get(check.name)
             verdict = check.verdict(moment, self._now, over=over)
-            more = "" if moment is None or verdict.reached is not None else f"; {moment.words}"
-            found.append(replace(verdict, found=self._named(verdict.found + more)))
+            if moment is not None and verdict.reached is None:
+                verdict = replace(verdict, found=f"{verdict.found}; {moment.words(self._scenario.vehicle_name)}")
+            found.append(verdict)
         return found
-
-    def _named(self, text: str) -> str:
-        """Words about vehicles with the names of nodes, if the scenario has some, on either clock."""
-        names = self._scenario.names
-        if not names:
-            return text
-        text = re.sub(r"\bvehicles? (\d+(?:(?:, | and )\d+)*)", lambda found: to_names(found[1], names), text)
-        return re.sub(r"\b\d+->\d+\b", lambda found: to_names(found[0], names), text)
 
     def _judge(self) -> None:
         values, self._pending = self._pending, None
@@ -143,7 +134,8 @@ class OwnChecks:
         packets, self._fates = packets_of(self._fates, self._tick_s), []
         dead = _all(self._dead)
         asked: dict[str, None] = {}
-        vehicles = [SeenVehicle(i, i not in dead, values, signals, asked) for i, signals in self._places.items()]
+        name = self._scenario.vehicle_name
+        vehicles = [SeenVehicle(i, i not in dead, values, signals, asked, name) for i, signals in self._places.items()]
         for one in self._python:
             failure = one.step(tick, t, vehicles, faults, packets)
             one.looked_at |= asked

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from math import isnan
 from typing import Any, NamedTuple
@@ -40,7 +40,7 @@ class CheckError(FleetError):
 class _NoSignal(NamedTuple):
     """Why there is no such signal. A check may ask at every tick, so the words are made when somebody reads them."""
 
-    vehicle: int
+    vehicle: str
     signal: Any
     there: Collection[str]
 
@@ -52,13 +52,21 @@ class _NoSignal(NamedTuple):
 class SeenVehicle:
     """One vehicle at one tick, as a check sees it."""
 
-    __slots__ = ("_asked", "_places", "_values", "alive", "id")
+    __slots__ = ("_asked", "_name", "_places", "_values", "alive", "id")
 
     def __init__(
-        self, number: int, alive: bool, values: TickValues, places: Mapping[str, SignalPlace], asked: dict[str, None]
+        self,
+        number: int,
+        alive: bool,
+        values: TickValues,
+        places: Mapping[str, SignalPlace],
+        asked: dict[str, None],
+        name: Callable[[int], str] = str,
     ) -> None:
-        """Show a vehicle; `asked` is filled with the names of the signals that are looked at."""
-        self.id, self.alive = number, alive
+        """Show a vehicle; `asked` is filled with the names of the signals that are looked at, and `name` says what it
+        is called.
+        """
+        self.id, self.alive, self._name = number, alive, name
         self._values, self._places, self._asked = values, places, asked
 
     def __getitem__(self, signal: str) -> Any:
@@ -67,7 +75,7 @@ class SeenVehicle:
         """
         place = self._places.get(signal)
         if place is None:
-            raise LookupError(_NoSignal(self.id, signal, self._places))
+            raise LookupError(_NoSignal(self._name(self.id), signal, self._places))
         self._asked[signal] = None
         found = self._values.values(self.id, signal.partition(".")[0])[place.values]
         if not found or (place.width == 1 and isnan(found[0])):
@@ -87,7 +95,7 @@ class RunningPythonCheck:
         self.name = name
         self.looked_at: dict[str, None] = {}  # signals
         parameters = parameters_of(given)
-        self._vehicles = facts.vehicles
+        self._facts = facts
         # What it prints goes to standard error; there is no place for notes beside a verdict.
         self._fence = Fence(
             class_name, BUDGET_S if budget_s is None else budget_s, [], partial(_error, class_name), PATIENCE
@@ -132,7 +140,7 @@ class RunningPythonCheck:
             margin = self._margin(now, method, self._fence.call(now, method))
         except CheckError as error:
             if not over:
-                return self._verdict(None, _words(_broken(error)), None)
+                return self._verdict(None, self._words(_broken(error)), None)
             self._break(error)
             return self._judged(moment, now, over=over)
         return verdict if margin is None else verdict.with_margin(margin.value, margin.unit, margin.at_s)
@@ -149,14 +157,14 @@ class RunningPythonCheck:
                     found = " ".join(answer.split())[:_MOST_TEXT] or found
                 elif (at_end := self._checked(now, method, answer)) is not None:
                     # What only the end can show is not failed while the run goes on.
-                    return self._verdict(False if over else None, _words(at_end), value if over else None)
+                    return self._verdict(False if over else None, self._words(at_end), value if over else None)
             except CheckError as error:
                 if not over:  # the check may have too little to go by, and asking now must change nothing
                     return self._verdict(None, _broken(error).message, None)
                 self._break(error)
         if self._failure is None:
             return self._verdict(True, found, 0.0)
-        found = f"{_words(self._failure)} at {self._at_s:g} s"
+        found = f"{self._words(self._failure)} at {self._at_s:g} s"
         return self._verdict(False, found, None if self._broken else value, moment)
 
     def _verdict(self, passed: bool | None, found: str, value: float | None, moment: Moment | None = None) -> Verdict:
@@ -172,6 +180,10 @@ class RunningPythonCheck:
             tuple(self.looked_at)[:_MOST_VALUES],
             judged=passed is not None,
         )
+
+    def _words(self, failure: Failure) -> str:
+        values = ", ".join(f"{name} {value:.4g}" for name, value in list(failure.values.items())[:4])
+        return f"{failure.message}{who(failure.vehicles, self._facts.name)}{f', {values}' if values else ''}"
 
     def _break(self, error: CheckError) -> None:
         self._broken, self._failure = True, _broken(error)
@@ -203,7 +215,7 @@ class RunningPythonCheck:
         except Exception:  # whatever the user's objects raise when they are asked
             text = f"returned a Failure with vehicles {show_value(vehicles)} and values {show_value(values)}"
             raise self._fence.wrong(tick, method, f"{text}: expected numbers, and numbers by name") from None
-        if strangers := [i for i in numbers if not 1 <= i <= self._vehicles]:
+        if strangers := [i for i in numbers if not 1 <= i <= self._facts.vehicles]:
             raise self._fence.wrong(tick, method, f"returned a Failure of vehicle {strangers[0]}: there is none")
         return Failure(" ".join(message.split())[:_MOST_TEXT] or "broken", numbers, found)
 
@@ -216,11 +228,6 @@ def _broken(error: CheckError) -> Failure:
 def _short(parameter: Any) -> str:
     text = show_value(parameter).strip("'")
     return text if len(text) <= _MOST_PARAMETER else f"{text[:_MOST_PARAMETER]}..."
-
-
-def _words(failure: Failure) -> str:
-    values = ", ".join(f"{name} {value:.4g}" for name, value in list(failure.values.items())[:4])
-    return f"{failure.message}{who(list(failure.vehicles))}{f', {values}' if values else ''}"
 
 
 def _error(class_name: str, tick: int, problem: str, where: str) -> CheckError:
@@ -238,6 +245,7 @@ def facts_of(scenario: Scenario, begin: int, places: Mapping[int, Mapping[str, S
         begin=begin * scenario.tick_ns / 1e9,
         links=tuple(scenario.graph.links),
         units={i: {name: place.unit for name, place in signals.items()} for i, signals in places.items()},
+        names=scenario.names,
     )
 
 

@@ -29,8 +29,8 @@ class ReachableGroups:
     last, which may leave the sides as they are.
 
     Two vehicles are on one side if links that no `partition`, `down`, `hold`, `mute` or `deaf` cuts lead from each to
-    the other, also through others. A vehicle that is paused or has no agent is on none. Losses by the condition of a link
-    itself do not count.
+    the other, also through others. A vehicle that is paused or has no agent is on none. Losses by the condition of a
+    link itself do not count.
     """
 
     def __init__(self, facts: Facts) -> None:

@@ -11,8 +11,9 @@ from fleet.scenario.rules.faults import fault_problems
 from fleet.scenario.rules.nodes import why_impossible
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.faults import FaultSection
-from fleet.scenario.sections.node_names import values_to_numbers, with_node_names
+from fleet.scenario.sections.node_names import values_to_numbers
 from fleet.scenario.sections.triggers import read_entry
+from fleet.scenario.value_types import mistake_words
 
 BROKEN = 3  # the status of a refusal for which the asker can do nothing
 
@@ -31,13 +32,6 @@ def check_fault(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     """The fault that an entry of a scenario's `faults` without `at` describes, beginning at a tick. Raises RefusedError
     if it is none, or none for this scenario; the text says what is wrong.
     """
-    try:
-        return _check(entry, tick, scenario)
-    except RefusedError as error:
-        raise RefusedError(with_node_names(str(error), scenario.nodes), error.status) from None
-
-
-def _check(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
     if not isinstance(entry, dict) or "at" in entry:
         raise RefusedError("expected a fault without `at`, because it begins now")
     try:
@@ -49,8 +43,9 @@ def _check(entry: Any, tick: int, scenario: Scenario) -> FaultSection:
         section = read_entry(entry | {"at": f"{tick * scenario.tick_ns} ns"})
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        said = str(first.get("ctx", {}).get("message", first["msg"]))
-        hint = first.get("ctx", {}).get("hint", "")
+        context = first.get("ctx", {})
+        said = mistake_words(context, scenario.nodes) if "message" in context else first["msg"]
+        hint = context.get("hint", "")
         where = ".".join(str(step) for step in first["loc"] if step != "[key]")
         raise RefusedError(f"{where}: {said[:1].lower()}{said[1:]}{f'; {hint}' if hint else ''}") from None
     if scenario.nodes and (wrong := why_impossible(scenario.spec, section)) is not None:

@@ -105,7 +105,7 @@ def _diameter(facts: Facts) -> int:
         while len(found) < facts.vehicles:
             more = {b for a, b in facts.links if a in found} - found
             if not more:
-                raise ValueError(f"what vehicle {start} says never reaches all others")
+                raise ValueError(f"what vehicle {facts.name(start)} says never reaches all others")
             found |= more
             hops += 1
         most = max(most, hops)
@@ -119,6 +119,7 @@ class TrueMean:
         """`below`: the greatest error of an average [degC]. `within`: the time allowed after the start, and after every
         change of the links. If one of a ring fails, the sides stay, but both its ends take back what they gave."""
         self._below, self._within = below, seconds(within)
+        self._facts = facts
         self._sides = ReachableGroups(facts)
         self._found = ""
         self._worst: tuple[float, float] | None = None  # by how much an average was off [degC], when [s]
@@ -140,7 +141,8 @@ class TrueMean:
                 self._worst = max(map(abs, off)), tick.t
             if max(map(abs, off)) >= self._below:
                 those = tuple(i for i, each in zip(side, off, strict=True) if abs(each) >= self._below)
-                text = f"the mean of vehicles {_show(side)} is {mean:.6g} degC, and their averages are off by up to"
+                text = f"the mean of vehicles {_show(side, self._facts)} is {mean:.6g} degC"
+                text += ", and their averages are off by up to"
                 values = {"mean [degC]": mean, "sum of all errors [degC]": sum(off)}
                 return Failure(f"{text} {max(off, key=abs):.3g} degC", those, values)
             worst = max(worst, *map(abs, off))
@@ -174,7 +176,7 @@ class AtMostOneLeader:
         """
         if per not in ("fleet", "side"):
             raise ValueError(f"per: expected fleet or side, got {per!r:.40}")
-        self._per_side, self._grace = per == "side", seconds(grace)
+        self._facts, self._per_side, self._grace = facts, per == "side", seconds(grace)
         self._sides = ReachableGroups(facts)
         self._until: dict[int, float] = {}  # true time [s] until which a vehicle leads, as it reported last
         self._most = 0
@@ -197,8 +199,8 @@ class AtMostOneLeader:
                     self._gap = min(self._gap, (gap, tick.t))
                 self._led[group] = of_these[0], tick.t
             if len(of_these) > 1 and tick.t - self._sides.since >= self._grace:
-                where = f"of the side {_show(group)} " if self._per_side else ""
-                silent = _show(tuple(i for i in of_these if i in self._sides.suspended))
+                where = f"of the side {_show(group, self._facts)} " if self._per_side else ""
+                silent = _show(tuple(i for i in of_these if i in self._sides.suspended), self._facts)
                 more = f"; {silent} by its last report, since it is suspended" if silent else ""
                 return Failure(f"{len(of_these)} vehicles {where}lead at once{more}", of_these)
         return None
@@ -236,7 +238,7 @@ class AgreeAfterHeal:
         if quorum not in ("fleet", "side"):
             raise ValueError(f"quorum: expected fleet or side, got {quorum!r:.40}")
         self._within, self._of_fleet = seconds(within), quorum == "fleet"
-        self._vehicles = facts.vehicles
+        self._facts = facts
         self._sides = ReachableGroups(facts)
         self._agreed_since: float | None = None  # the change [s] after which they have agreed; None: they do not
         self._longest = 0.0  # the longest time from a change to the agreement [s]
@@ -256,7 +258,9 @@ class AgreeAfterHeal:
             if elapsed < self._within:
                 self._agreed_since = None
                 return None
-            said = ", ".join(f"{i} names {int(n) or 'nobody'}" for i, n in zip(side, named, strict=True))
+            said = ", ".join(
+                f"{self._facts.name(i)} names {self._leader(int(n))}" for i, n in zip(side, named, strict=True)
+            )
             return Failure(f"no leader is agreed on {elapsed:.4g} s after the sides changed: {said}", side)
         if self._agreed_since != self._sides.since:
             self._agreed_since = self._sides.since
@@ -273,11 +277,17 @@ class AgreeAfterHeal:
         """How much longer they could have disagreed after a change."""
         return Margin(self._within - self._waited[0], "s", self._waited[1])
 
+    def _leader(self, number: int) -> str:
+        """Whom a vehicle names; a program may name a number that no vehicle has."""
+        if not number:
+            return "nobody"
+        return self._facts.name(number) if 0 < number <= self._facts.vehicles else str(number)
+
     def _may_be(self, leader: int, side: tuple[int, ...], tick: Tick) -> bool:
         """Whether it is right that a side names this leader; 0: none."""
         if leader:
             return leader in side and tick.vehicles[leader - 1]["control.leads"] == 1.0
-        return self._of_fleet and 2 * len(side) <= self._vehicles
+        return self._of_fleet and 2 * len(side) <= self._facts.vehicles
 
 
 def _ahead(vehicle: Vehicle) -> float:
@@ -288,5 +298,5 @@ def _ahead(vehicle: Vehicle) -> float:
         return 0.0
 
 
-def _show(vehicles: tuple[int, ...]) -> str:
-    return ", ".join(map(str, vehicles))
+def _show(vehicles: tuple[int, ...], facts: Facts) -> str:
+    return ", ".join(map(facts.name, vehicles))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from math import isfinite
 from typing import Annotated
 
@@ -26,16 +26,17 @@ class LastMessage(Struct, frozen=True):
     ]
     silent: Annotated[bool, Meta(description="Whether its sender was gone or paused when the check failed.")] = False
 
-    @property
-    def words(self) -> str:
+    def words(self, name: Callable[[int], str] = str) -> str:
+        """In words; `name`: what each vehicle is called."""
+        src, dst = name(self.src), name(self.dst)
         if self.silent:
             last = "nothing" if self.heard_s is None else f"what it sent at {self.heard_s:g} s"
-            return f"vehicle {self.src} sends no more, and the last that vehicle {self.dst} has of it is {last}"
-        link, when = f"{self.src}->{self.dst}", f"sent at {self.sent_s:g} s"
+            return f"vehicle {src} sends no more, and the last that vehicle {dst} has of it is {last}"
+        link, when = f"{src}->{dst}", f"sent at {self.sent_s:g} s"
         if self.fate == Cause.DELIVERED:
-            return f"the last message that vehicle {self.dst} received: {link}, {when}, due at {self.at_s:g} s"
+            return f"the last message that vehicle {dst} received: {link}, {when}, due at {self.at_s:g} s"
         heard = "nothing before" if self.heard_s is None else f"the last before from {self.heard_s:g} s"
-        return f"the last message that vehicle {self.dst} missed: {link}, {when}, {self.fate}; it had {heard}"
+        return f"the last message that vehicle {dst} missed: {link}, {when}, {self.fate}; it had {heard}"
 
 
 class Moment(Struct, frozen=True):
@@ -48,12 +49,11 @@ class Moment(Struct, frozen=True):
     faults: Annotated[list[str], Meta(description="Active ones, by id.")] = []
     message: LastMessage | None = None
 
-    @property
-    def words(self) -> str:
-        """The circumstances of the failure, in words; empty if there is nothing to say."""
+    def words(self, name: Callable[[int], str] = str) -> str:
+        """The circumstances of the failure, in words; `name`: what each vehicle is called."""
         faults = ", ".join(self.faults[:4]) + (f" and {len(self.faults) - 4} more" if len(self.faults) > 4 else "")
         active = f"fault{'s' if len(self.faults) > 1 else ''} {faults} active" if self.faults else "no fault active"
-        return "; ".join([active, *([] if self.message is None else [self.message.words])])
+        return "; ".join([active, *([] if self.message is None else [self.message.words(name)])])
 
 
 class Margin(Struct, frozen=True):
@@ -130,6 +130,6 @@ def sort_failed_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
     return sorted(verdicts, key=lambda one: (not one.failed, one.judged))
 
 
-def who(vehicles: list[int]) -> str:
-    """` (vehicle 3)`, or nothing if no vehicle is named."""
-    return f" ({vehicle_names(vehicles)})" if vehicles else ""
+def who(vehicles: Sequence[int], name: Callable[[int], str] = str) -> str:
+    """` (vehicle 3)`, or nothing if there is none; `name`: what each is called."""
+    return f" ({vehicle_names(vehicles, name)})" if vehicles else ""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin
@@ -35,10 +34,9 @@ from fleet.scenario.rules import (
 from fleet.scenario.rules.report import Report, dotted_path
 from fleet.scenario.schema.checks import PYTHON
 from fleet.scenario.schema.spec import ScenarioSpec
-from fleet.scenario.sections.node_names import with_node_names
 from fleet.scenario.text.yaml_reader import Items, Mapping, Node, locate, plain, text_place
 from fleet.scenario.trust import READING, Policy
-from fleet.scenario.value_types import Section, section_of
+from fleet.scenario.value_types import Section, mistake_words, section_of
 from netem.parsing import nearest
 
 # What a hint offers for a key of the whole scenario that is missing.
@@ -132,7 +130,7 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
     try:
         spec = ScenarioSpec.model_validate(data)
     except ValidationError as error:
-        report.problems += _explained(root, error.errors(include_url=False))
+        report.problems += _explained(root, error.errors(include_url=False), report.keys("nodes"))
         spec = cast(ScenarioSpec, _Partial(ScenarioSpec, data))
     parts = Parts(spec, folder)
     if isinstance(spec, ScenarioSpec) and "nodes" not in root.entries:
@@ -141,9 +139,7 @@ def validate(root: Mapping, folder: Path | None = None, policy: Policy = READING
         if root is not report.root:
             return validate(root, folder, policy)
     apply_rules(parts, report)
-    names = report.keys("nodes")
-    told = [replace(problem, message=with_node_names(problem.message, names)) for problem in report.problems]
-    return (None if told else parts), told
+    return (None if report.problems else parts), report.problems
 
 
 def _drop_key(root: Mapping, path: Sequence[str]) -> Mapping:
@@ -238,8 +234,10 @@ def _kind(section: type[Section], name: str) -> TypeAdapter[Any]:
     return TypeAdapter(section.model_fields[name].rebuild_annotation())
 
 
-def _explained(root: Mapping, errors: Sequence[ErrorDetails]) -> list[Problem]:
-    """The problems in words. A key that is missing because it is misspelt is told once: where it is."""
+def _explained(root: Mapping, errors: Sequence[ErrorDetails], names: Sequence[str]) -> list[Problem]:
+    """The problems in words; `names`: of nodes. A key that is missing because it is misspelt is told
+    once: where it is.
+    """
     errors = [error for error in errors if not _is_of_another_form(error, errors)]
     meant: dict[Loc, str] = {}  # by the place of an unknown key
     for error in errors:
@@ -252,7 +250,7 @@ def _explained(root: Mapping, errors: Sequence[ErrorDetails]) -> list[Problem]:
             meant.update((loc, key) for key in near[:1])
     told = {(*loc[:-1], key) for loc, key in meant.items()}
     return [
-        _explain(root, error, meant.get(error["loc"], ""))
+        _explain(root, error, names, meant.get(error["loc"], ""))
         for error in errors
         if error["type"] != "missing" or error["loc"] not in told
     ]
@@ -275,7 +273,7 @@ def _keys_of(errors: Sequence[ErrorDetails], kind: str, section: Loc) -> list[st
     return [str(error["loc"][-1]) for error in errors if error["type"] == kind and error["loc"][:-1] == section]
 
 
-def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
+def _explain(root: Mapping, error: ErrorDetails, names: Sequence[str], meant: str) -> Problem:
     """A problem in words; `meant`: the key that an unknown one stands for, if that is known."""
     loc = error["loc"]
     path = _file_path(root, loc)
@@ -297,7 +295,7 @@ def _explain(root: Mapping, error: ErrorDetails, meant: str = "") -> Problem:
                 place, name = locate(root, path, key=True).shift(context["column"]), dotted_path(path[:-1])
             else:
                 place = text_place(root, path, context["column"])
-            return place.problem(f"{_short(name)}: {context['message']}", context["hint"], name)
+            return place.problem(f"{_short(name)}: {mistake_words(context, names)}", context["hint"], name)
         case "literal_error":
             words = re.findall(r"'([^']*)'", context["expected"])
             hint = nearest(value, words) if isinstance(value, str) else ""

@@ -7,7 +7,7 @@ pydantic's errors arrive with the words and the column of the text at fault.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import radians
 from typing import Annotated, Any, Literal, get_args
@@ -28,7 +28,7 @@ from fleet import quantities as q
 from fleet.quantities import vehicle_numbers
 from netem.condition import Condition
 from netem.curve import Curve
-from netem.errors import TextError
+from netem.errors import SelectorError, TextError
 from netem.grammar import parse_condition, print_condition
 from netem.link_selector import parse_selector
 from netem.propagation import decibels, power
@@ -74,6 +74,20 @@ def mistake(message: str, column: int = 0, hint: str = "") -> PydanticCustomErro
     return PydanticCustomError("mistake", "{message}", {"message": message, "column": column, "hint": hint})
 
 
+def mistake_of(error: TextError) -> PydanticCustomError:
+    """As `mistake`, for a text that could not be read. It keeps the error, whose words depend on what vehicles are
+    called, which no reader of a value knows.
+    """
+    known = {"message": error.message, "column": error.column, "hint": error.hint, "error": error}
+    return PydanticCustomError("mistake", "{message}", known)
+
+
+def mistake_words(context: Mapping[str, Any], names: Sequence[str]) -> str:
+    """The message of a mistake from its context, for vehicles with these names."""
+    error = context.get("error")
+    return error.in_names(names) if isinstance(error, SelectorError) else str(context["message"])
+
+
 @dataclass(frozen=True)
 class Text:
     """A value that is written as text: `read` takes what the YAML holds, `show` gives what `read` takes."""
@@ -91,7 +105,7 @@ class Text:
         try:
             result = self.read(value)
         except TextError as error:
-            raise mistake(error.message, error.column, error.hint) from None
+            raise mistake_of(error) from None
         for number in result if isinstance(result, tuple) else (result,):
             if self.bound == "positive" and number <= 0:
                 raise mistake(f"must be above 0, got {q.describe_value(value)}")
@@ -184,7 +198,7 @@ def read_condition(value: Any) -> Condition:
     try:
         return _condition(value)
     except TextError as error:
-        raise mistake(error.message, error.column, error.hint) from None
+        raise mistake_of(error) from None
 
 
 def _name(value: Any) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import permutations
 
-from fleet.quantities import QuantityError, vehicle_numbers
+from fleet.quantities import unknown_vehicle, vehicle_numbers
 from netem.condition import Link
 from netem.draws import uniform
-from netem.errors import TextError
+from netem.errors import SelectorError, TextError
 
 DRAWN_PARTITIONS = ("one", "majority", "ring", "bridge")  # who is cut off depends on the seed and the fault's id
 NAMED_PARTITIONS = ("halves", *DRAWN_PARTITIONS, "isolate:N")
@@ -64,10 +64,19 @@ def _cut(text: str, vehicles: int, seed: int, name: str) -> Callable[[int, int],
         case _ if (isolated := _ISOLATE.fullmatch(which)) and 1 <= int(isolated[1]) <= vehicles:
             alone = int(isolated[1])
             return lambda a, b: (a == alone) != (b == alone)
-    raise TextError(
-        f'"{text[:40]}" is no partition of vehicles 1 to {vehicles}',
-        hint=f'write groups such as "1,2 / 3,4", or one of {", ".join(NAMED_PARTITIONS)}',
-    )
+    raise NoPartition(text, vehicles)
+
+
+class NoPartition(SelectorError):
+    """A text that names no partition."""
+
+    def __init__(self, text: str, vehicles: int) -> None:
+        hint = f'write groups such as "1,2 / 3,4", or one of {", ".join(NAMED_PARTITIONS)}'
+        super().__init__(f'"{text[:40]}" is no partition of vehicles 1 to {vehicles}', hint=hint)
+        self.text = text
+
+    def _in_names(self, names: Sequence[str]) -> str:
+        return f'"{self.text[:40]}" is no partition of {", ".join(names)}'
 
 
 def _groups(text: str, vehicles: int) -> list[list[int]]:
@@ -75,11 +84,12 @@ def _groups(text: str, vehicles: int) -> list[list[int]]:
     for part in text.split("/"):
         try:
             group = vehicle_numbers(part)
-        except QuantityError as error:
-            raise TextError(error.message, hint='write groups such as "1,2 / 3,4"') from None
+        except TextError as error:
+            error.hint = 'write groups such as "1,2 / 3,4"'
+            raise
         for i in group:
             if not 1 <= i <= vehicles:
-                raise TextError(f"there is no vehicle {i}: the vehicles are 1 to {vehicles}")
+                raise unknown_vehicle(i, vehicles)
             if any(i in other for other in groups):
                 raise TextError(f"vehicle {i} is in two groups")
         groups.append(group)

@@ -27,7 +27,7 @@ from fleet.scenario.sections.liveness import heal_time
 from fleet.scenario.sections.nemesis import fault_count
 from fleet.scenario.sections.swarm import span
 from netem.condition import Link
-from netem.errors import TextError
+from netem.errors import SelectorError, TextError
 from netem.link_selector import parse_selector, select
 
 MOST_FAULTS = 5000  # with the faults of its nemesis; the cores test each fault in every tick
@@ -228,7 +228,8 @@ def _target_problems(fault: FaultAction, spec: ScenarioSpec, links: tuple[Link, 
         try:
             cut = partition(values, spec.vehicles, spec.seed, "", links)
         except TextError as error:
-            yield FaultProblem(name, error.message, error.hint)
+            message = error.in_names(tuple(spec.nodes or ())) if isinstance(error, SelectorError) else error.message
+            yield FaultProblem(name, message, error.hint)
             return
         if not cut and not is_drawn(values):  # one that is drawn may cut no link, this time
             yield FaultProblem(name, "cuts no link of the graph")

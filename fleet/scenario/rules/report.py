@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from fleet import quantities
 from fleet.errors import Problem
 from fleet.quantities import show_time, vehicle_numbers
 from fleet.scenario.schema.spec import ScenarioSpec
@@ -123,8 +124,9 @@ def known_links(links: Sequence[Link]) -> str:
 
 def unknown_vehicle(spec: ScenarioSpec, number: int) -> str:
     """What is wrong with the number of a vehicle; "": the scenario has it."""
-    known = 1 <= number <= spec.vehicles
-    return "" if known else f"there is no vehicle {number}: the vehicles are 1 to {spec.vehicles}"
+    if 1 <= number <= spec.vehicles:
+        return ""
+    return quantities.unknown_vehicle(number, spec.vehicles).in_names(tuple(spec.nodes or ()))
 
 
 def vehicles_exist(

@@ -63,21 +63,3 @@ def to_names(text: str, names: Sequence[str]) -> str:
     if not names or re.search(r"\d-\d", text):
         return text
     return re.sub(r"\d+", lambda found: names[int(found[0]) - 1] if 0 < int(found[0]) <= len(names) else found[0], text)
-
-
-_NO_NUMBERS = re.compile(r'expected vehicle numbers such as "3" or "2-4, 7", got "([^"]*)"')
-_NO_VEHICLE = re.compile(r"there is no vehicle (\d+): the vehicles are 1 to \d+")
-_NO_LINK = re.compile(r'"\*", "1->2", "1<->2", "1->\*" or "\*->2"')
-
-
-def with_node_names(message: str, names: Sequence[str]) -> str:
-    """What is wrong with a selector of vehicles and links, in words of nodes; without names, or anything else, as it
-    is.
-    """
-    if len(names) < 2:
-        return message
-    known, (a, b) = f"the nodes are {', '.join(names)}", names[:2]
-    for no_node in (_NO_NUMBERS, _NO_VEHICLE):
-        message = no_node.sub(lambda found: f"there is no node {found[1].strip()}: {known}", message)
-    message = _NO_LINK.sub(lambda _: f'"*", "{a}->{b}", "{a}<->{b}", "{a}->*" or "*->{b}"', message)
-    return message.replace(f"of vehicles 1 to {len(names)}", f"of {', '.join(names)}")

@@ -17,7 +17,16 @@ from math import inf
 from typing import Any, Literal
 
 from fleet.errors import FleetError
-from fleet.quantities import DIMENSIONS, NUMBER, Dimension, QuantityError, describe_value, show_time, vehicle_numbers
+from fleet.quantities import (
+    DIMENSIONS,
+    NUMBER,
+    Dimension,
+    QuantityError,
+    describe_value,
+    show_time,
+    unknown_vehicle,
+    vehicle_numbers,
+)
 from fleet.quantities import scalar as quantity
 from fleet.scenario.schema.checks import CONDITIONS, EVERY, ChecksSection, SignalCheck
 from fleet.scenario.sections.signals import (
@@ -115,8 +124,7 @@ def find_signal(
         raise SignalCheckError("topic", f"{signal} names a vehicle, which has a key of its own", hint)
     some = tuple(vehicles) if of is None else tuple(dict.fromkeys(vehicle_numbers(of)))
     if strangers := [i for i in some if i not in vehicles]:
-        problem = f"there is no vehicle {strangers[0]}: the vehicles are 1 to {len(vehicles)}"
-        raise SignalCheckError("vehicles", problem)
+        raise SignalCheckError("vehicles", unknown_vehicle(strangers[0], len(vehicles)).message)
     try:
         unit = unit_of(signal, (vehicles[i] for i in some))
     except SignalError as error:

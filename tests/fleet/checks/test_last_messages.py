@@ -30,7 +30,7 @@ def test_a_link_whose_last_packet_was_lost_is_named_before_one_that_works() -> N
     assert found is not None
     assert (found.src, found.dst, found.sent_s, found.fate, found.heard_s) == (1, 2, 0.2, "partition", 0.1)
     assert (
-        found.words
+        found.words()
         == "the last message that vehicle 2 missed: 1->2, sent at 0.2 s, partition; it had the last before from 0.1 s"
     )
     last.settle(fate(1, 2, 30))
@@ -46,7 +46,7 @@ def test_of_several_links_the_one_that_is_silent_for_longest() -> None:
     last.settle(fate(1, 2, 10, "down", final=10))
     found = last.of([1, 2], MINE)
     assert found is not None and (found.src, found.heard_s) == (1, None)
-    assert found.words.endswith("down; it had nothing before")
+    assert found.words().endswith("down; it had nothing before")
 
 
 @pytest.mark.parametrize("lost", ["delivered", "loss"])
@@ -61,11 +61,13 @@ def test_the_silence_of_a_sender_that_is_gone_comes_before_a_packet_that_was_los
     found = last.of([2], MINE, silent=[1])
     assert found is not None and (found.src, found.silent) == (1, True)
     heard = "0.1" if lost == "delivered" else "0"
-    assert found.words == f"vehicle 1 sends no more, and the last that vehicle 2 has of it is what it sent at {heard} s"
+    assert (
+        found.words() == f"vehicle 1 sends no more, and the last that vehicle 2 has of it is what it sent at {heard} s"
+    )
     last = LastMessages(LINKS, 10_000_000)
     last.settle(fate(1, 2, 10, "loss"))
     never = last.of([2], MINE, silent=[1])
-    assert never is not None and never.words.endswith("has of it is nothing")
+    assert never is not None and never.words().endswith("has of it is nothing")
 
 
 @pytest.mark.parametrize("kind", ["kill", "pause", "diverged"])

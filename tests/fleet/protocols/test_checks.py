@@ -162,6 +162,15 @@ def test_agree_after_heal(quorum: Any, history: list[Any], at: float | None) -> 
         assert "after the sides changed" in found[1].message
 
 
+def test_what_checks_say_has_the_names_of_nodes() -> None:
+    """The words were made with numbers, and a regular expression put names in; it changed texts of users, too."""
+    facts = FACTS._replace(names=("north", "south", "shore"))
+    check = AgreeAfterHeal(facts, within="1 s")
+    found = first_failure(check, [(2.0, (), (1.0, 3.0, 0.0), (0.0, 0.0, 0.0))], ("leader", "leads"))
+    assert found is not None and found[1].message.endswith("north names north, south names shore, shore names nobody")
+    assert [FACTS.name(2), facts.name(2)] == ["2", "south"]
+
+
 def test_a_run_that_ends_before_there_is_agreement_does_not_pass() -> None:
     check = AgreeAfterHeal(FACTS, within="2 s")
     assert first_failure(check, [(0.0, (), *NONE), (1.0, (), *NONE)], ("leads", "leader")) is None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
@@ -320,8 +320,9 @@ def unknown_vehicle(number: int, vehicles: int) -> UnknownVehicle:
     return UnknownVehicle(f"there is no vehicle {number}: the vehicles are 1 to {vehicles}", str(number))
 
 
-def vehicle_names(vehicles: Sequence[int], name: Callable[[int], str] = str) -> str:
-    """`vehicle 3`, or `vehicles 3, 4 and 5 more`; `name`: what each is called."""
-    shown = ", ".join(map(name, vehicles[:8]))
+def vehicle_names(vehicles: Sequence[int], names: Sequence[str] = ()) -> str:
+    """`vehicle 3`, or `vehicles 3, 4 and 5 more`; with the names of nodes, `auv3, auv4 and 5 more`."""
+    shown = ", ".join(names[i - 1] if names else str(i) for i in vehicles[:8])
     more = f" and {len(vehicles) - 8} more" if len(vehicles) > 8 else ""
-    return f"vehicle{'s' if len(vehicles) > 1 else ''} {shown}{more}"
+    noun = "" if names else "vehicles " if len(vehicles) > 1 else "vehicle "
+    return f"{noun}{shown}{more}"

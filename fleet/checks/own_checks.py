@@ -116,7 +116,7 @@ class OwnChecks:
             moment = self._moments.get(check.name)
             verdict = check.verdict(moment, self._now, over=over)
             if moment is not None and verdict.reached is None:
-                verdict = replace(verdict, found=f"{verdict.found}; {moment.words(self._scenario.vehicle_name)}")
+                verdict = replace(verdict, found=f"{verdict.found}; {moment.words(self._scenario.names)}")
             found.append(verdict)
         return found
 
@@ -134,8 +134,8 @@ class OwnChecks:
         packets, self._fates = packets_of(self._fates, self._tick_s), []
         dead = _all(self._dead)
         asked: dict[str, None] = {}
-        name = self._scenario.vehicle_name
-        vehicles = [SeenVehicle(i, i not in dead, values, signals, asked, name) for i, signals in self._places.items()]
+        names = self._scenario.names
+        vehicles = [SeenVehicle(i, i not in dead, values, signals, asked, names) for i, signals in self._places.items()]
         for one in self._python:
             failure = one.step(tick, t, vehicles, faults, packets)
             one.looked_at |= asked

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from math import isnan
 from typing import Any, NamedTuple
@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from fleet.checks.api import Facts, Failure, Fault, Margin, NotJudged, Packet, Tick, Vehicle
 from fleet.checks.values import TickValues
 from fleet.errors import FleetError
+from fleet.quantities import vehicle_names
 from fleet.result.verdict import Moment, Verdict, who
 from fleet.scenario.scenario import Scenario
 from fleet.scenario.schema.checks import SOMETIMES
@@ -40,19 +41,19 @@ class CheckError(FleetError):
 class _NoSignal(NamedTuple):
     """Why there is no such signal. A check may ask at every tick, so the words are made when somebody reads them."""
 
-    vehicle: str
+    vehicle: str  # `vehicle 3`, or the name of a node
     signal: Any
     there: Collection[str]
 
     def __str__(self) -> str:
         hint = nearest(str(self.signal), self.there) or f"it has {', '.join(self.there)}"
-        return f"vehicle {self.vehicle} has no signal {self.signal!r}; {hint}"
+        return f"{self.vehicle} has no signal {self.signal!r}; {hint}"
 
 
 class SeenVehicle:
     """One vehicle at one tick, as a check sees it."""
 
-    __slots__ = ("_asked", "_name", "_places", "_values", "alive", "id")
+    __slots__ = ("_asked", "_names", "_places", "_values", "alive", "id")
 
     def __init__(
         self,
@@ -61,12 +62,12 @@ class SeenVehicle:
         values: TickValues,
         places: Mapping[str, SignalPlace],
         asked: dict[str, None],
-        name: Callable[[int], str] = str,
+        names: Sequence[str] = (),
     ) -> None:
-        """Show a vehicle; `asked` is filled with the names of the signals that are looked at, and `name` says what it
-        is called.
+        """Show a vehicle; `asked` is filled with the names of the signals that are looked at, and `names` are those of
+        nodes, if there are some.
         """
-        self.id, self.alive, self._name = number, alive, name
+        self.id, self.alive, self._names = number, alive, names
         self._values, self._places, self._asked = values, places, asked
 
     def __getitem__(self, signal: str) -> Any:
@@ -75,7 +76,7 @@ class SeenVehicle:
         """
         place = self._places.get(signal)
         if place is None:
-            raise LookupError(_NoSignal(self._name(self.id), signal, self._places))
+            raise LookupError(_NoSignal(vehicle_names([self.id], self._names), signal, self._places))
         self._asked[signal] = None
         found = self._values.values(self.id, signal.partition(".")[0])[place.values]
         if not found or (place.width == 1 and isnan(found[0])):
@@ -183,7 +184,7 @@ class RunningPythonCheck:
 
     def _words(self, failure: Failure) -> str:
         values = ", ".join(f"{name} {value:.4g}" for name, value in list(failure.values.items())[:4])
-        return f"{failure.message}{who(failure.vehicles, self._facts.name)}{f', {values}' if values else ''}"
+        return f"{failure.message}{who(failure.vehicles, self._facts.names)}{f', {values}' if values else ''}"
 
     def _break(self, error: CheckError) -> None:
         self._broken, self._failure = True, _broken(error)

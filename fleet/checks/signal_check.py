@@ -141,7 +141,7 @@ class _Safety:
     """Something bad never happens, or never lasts so long."""
 
     def __init__(self, asked: AskedOfSignal, scenario: Scenario, every: int) -> None:
-        self._asked, self._tick_ns, self._name = asked, scenario.tick_ns, scenario.vehicle_name
+        self._asked, self._tick_ns, self._names = asked, scenario.tick_ns, scenario.names
         self._margin = AlwaysMargin(asked, scenario.tick_ns, every)
         self._since: dict[Unit, int] = {}  # where a stretch of bad samples began
         self._worst: tuple[float, float, Unit, int] | None = None  # how bad, value, whose, tick
@@ -185,7 +185,7 @@ class _Safety:
         listed = ", ".join(self._show(value) for value in values[:8])
         more = f" and {len(failed) - 8} more" if len(failed) > 8 else ""
         lasting = f", for {self._s(self._longest[0])} s by then" if asked.least_ns > 1 and self._longest else ""
-        self.failure = f"{listed}{who(failed[:8], self._name)}{more} at {self._s(tick)} s{lasting}"
+        self.failure = f"{listed}{who(failed[:8], self._names)}{more} at {self._s(tick)} s{lasting}"
         self._first, self._by_then, self._silent = tick, self._longest, silent
         return tuple(failed)
 
@@ -212,12 +212,12 @@ class _Safety:
             if self._longest is not None:
                 length, whose, since = self._longest
                 value = length * self._tick_ns / 1e9
-                words = f"for at most {value:g} s{who(whose, self._name)}, from {self._s(since)} s"
+                words = f"for at most {value:g} s{who(whose, self._names)}, from {self._s(since)} s"
             if self.failure and self._longest == self._by_then:
                 words = ""  # the failure says it already
         else:
             _, value, whose, tick = worst
-            words = "" if tick == self._first else f"{self._side()} {self._show(value)}{who(whose, self._name)}"
+            words = "" if tick == self._first else f"{self._side()} {self._show(value)}{who(whose, self._names)}"
             words += f" at {self._s(tick)} s" if words else ""
         return (
             not self.failure,
@@ -265,7 +265,7 @@ class _Liveness:
 
     def __init__(self, asked: AskedOfSignal, scenario: Scenario, after: int) -> None:
         self._asked, self._tick_ns, self._last, self._after = asked, scenario.tick_ns, scenario.ticks, after
-        self._name = scenario.vehicle_name
+        self._names = scenario.names
         self._begin: int | None = after if asked.fault is None else None  # begin of the wait that goes on
         self._whose = ""  # fault
         self._since: dict[Unit, int] = {}  # where it began to hold
@@ -333,9 +333,8 @@ class _Liveness:
         if self.failure:
             return None
         more = f" and {len(failed) - 8} more" if len(failed) > 8 else ""
-        self.failure = (
-            f"not within {asked.within_ns / 1e9:g} s after {self._since_when(begin)}{who(failed[:8], self._name)}{more}"
-        )
+        those = f"{who(failed[:8], self._names)}{more}"
+        self.failure = f"not within {asked.within_ns / 1e9:g} s after {self._since_when(begin)}{those}"
         return tuple(failed)
 
     def margin(self) -> Margin | None:
@@ -371,7 +370,7 @@ class _Liveness:
         ticks, unit, fault = self._slowest
         took = ticks * self._tick_ns / 1e9
         each = f", the slowest of {self._judged}, after fault {fault}" if fault and self._judged > 1 else ""
-        return True, f"after {took:g} s{who(unit, self._name)}{each}{dropped}", took, limit, "s"
+        return True, f"after {took:g} s{who(unit, self._names)}{each}{dropped}", took, limit, "s"
 
 
 def inside(condition: SignalCondition, value: float) -> float:

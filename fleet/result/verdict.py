@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from math import isfinite
 from typing import Annotated
 
@@ -26,17 +26,18 @@ class LastMessage(Struct, frozen=True):
     ]
     silent: Annotated[bool, Meta(description="Whether its sender was gone or paused when the check failed.")] = False
 
-    def words(self, name: Callable[[int], str] = str) -> str:
-        """In words; `name`: what each vehicle is called."""
-        src, dst = name(self.src), name(self.dst)
+    def words(self, names: Sequence[str] = ()) -> str:
+        """In words; `names`: of nodes, if there are some."""
+        src, dst = (vehicle_names([i], names) for i in (self.src, self.dst))
         if self.silent:
             last = "nothing" if self.heard_s is None else f"what it sent at {self.heard_s:g} s"
-            return f"vehicle {src} sends no more, and the last that vehicle {dst} has of it is {last}"
-        link, when = f"{src}->{dst}", f"sent at {self.sent_s:g} s"
+            return f"{src} sends no more, and the last that {dst} has of it is {last}"
+        link = f"{names[self.src - 1]}->{names[self.dst - 1]}" if names else f"{self.src}->{self.dst}"
+        when = f"sent at {self.sent_s:g} s"
         if self.fate == Cause.DELIVERED:
-            return f"the last message that vehicle {dst} received: {link}, {when}, due at {self.at_s:g} s"
+            return f"the last message that {dst} received: {link}, {when}, due at {self.at_s:g} s"
         heard = "nothing before" if self.heard_s is None else f"the last before from {self.heard_s:g} s"
-        return f"the last message that vehicle {dst} missed: {link}, {when}, {self.fate}; it had {heard}"
+        return f"the last message that {dst} missed: {link}, {when}, {self.fate}; it had {heard}"
 
 
 class Moment(Struct, frozen=True):
@@ -49,11 +50,11 @@ class Moment(Struct, frozen=True):
     faults: Annotated[list[str], Meta(description="Active ones, by id.")] = []
     message: LastMessage | None = None
 
-    def words(self, name: Callable[[int], str] = str) -> str:
-        """The circumstances of the failure, in words; `name`: what each vehicle is called."""
+    def words(self, names: Sequence[str] = ()) -> str:
+        """The circumstances of the failure, in words; `names`: of nodes, if there are some."""
         faults = ", ".join(self.faults[:4]) + (f" and {len(self.faults) - 4} more" if len(self.faults) > 4 else "")
         active = f"fault{'s' if len(self.faults) > 1 else ''} {faults} active" if self.faults else "no fault active"
-        return "; ".join([active, *([] if self.message is None else [self.message.words(name)])])
+        return "; ".join([active, *([] if self.message is None else [self.message.words(names)])])
 
 
 class Margin(Struct, frozen=True):
@@ -130,6 +131,6 @@ def sort_failed_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
     return sorted(verdicts, key=lambda one: (not one.failed, one.judged))
 
 
-def who(vehicles: Sequence[int], name: Callable[[int], str] = str) -> str:
-    """` (vehicle 3)`, or nothing if there is none; `name`: what each is called."""
-    return f" ({vehicle_names(vehicles, name)})" if vehicles else ""
+def who(vehicles: Sequence[int], names: Sequence[str] = ()) -> str:
+    """` (vehicle 3)`, with the names of nodes ` (auv3)`, or nothing if there is none."""
+    return f" ({vehicle_names(vehicles, names)})" if vehicles else ""

@@ -26,6 +26,7 @@ def fed(
     until_s: float = 4.0,
     at_once: bool = True,
     signal: str = "nav.z",
+    names: str = "",
 ) -> list[Verdict]:
     """The verdicts of checks on `nav.z`, or on `error.e_norm`.
 
@@ -33,8 +34,9 @@ def fed(
         faults: as `--set` of a scenario; they happen as planned.
         fates: in the order of their final ticks.
         at_once: judge only at the end, not at every tick.
+        names: of the three, as `--set` of a scenario of nodes has them.
     """
-    scenario = small("duration=4 s", f"checks={{{checks}}}", *([faults] if faults else []))
+    scenario = small("duration=4 s", f"checks={{{checks}}}", *filter(None, [faults, names]))
     own = OwnChecks.from_scenario(scenario)
     events, waiting = list(scenario.faults.events), list(fates)
     verdicts: list[Verdict] = []

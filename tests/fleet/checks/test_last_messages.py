@@ -13,6 +13,7 @@ from agents.message import pack
 from agents.payload import StateMessage, encode
 from fleet.checks.own_checks import LastMessages, OwnChecks
 from fleet.checks.values import LoggedValues
+from fleet.result.verdict import LastMessage
 
 LINKS = [(1, 2), (2, 1), (2, 3), (3, 2)]
 MINE = ["control.leads"]
@@ -127,3 +128,37 @@ def test_a_check_on_a_depth_names_no_message() -> None:
     (verdict,) = fed("signal: {topic: nav.z, below: 8 m}", depth, fates=[fate(1, 2, 0)])
     assert verdict.moment is not None and verdict.moment.message is None
     assert "message" not in verdict.found
+
+
+@pytest.mark.parametrize(
+    ("checks", "lost", "words"),
+    [
+        ("{topic: error.e_norm, below: 8 m}", "", "9 m (south) at 1 s; no fault active; the last message that south "
+         "received: north->south, sent at 0.99 s, due at 1 s"),
+        ("{topic: error.e_norm, below: 8 m}", "loss", "9 m (south) at 1 s; no fault active; the last message that "
+         "south missed: north->south, sent at 0.99 s, loss; it had nothing before"),
+        ("{topic: error.e_norm, above: 5 m}", "", "5 m, 5 m, 5 m (north, south, shore) at 0 s; no fault active"),
+        ("{topic: error.e_norm, spread_below: 4 m}", "", "4 m apart (north, south) at 1 s"),
+        ("{topic: error.e_norm, eventually_within: 1 s, above: 9 m}", "", "not within 1 s after 0 s (north, south, "
+         "shore)"),
+        ("{topic: error.e_norm, below: 10 m}", "", "at most 9 m (south) at 1 s"),
+    ],
+)  # fmt: skip
+def test_nodes_are_called_by_their_names_and_never_by_numbers(checks: str, lost: str, words: str) -> None:
+    """Their names stood behind the word vehicle, as if there were numbers before them."""
+    (verdict,) = fed(
+        f"signal: {checks}",
+        lambda i, t: 9.0 if i == 2 and t >= 1.0 else 5.0,
+        fates=[replace(fate(1, 2, 99, *filter(None, [lost])), payload=STATE)],
+        signal="error.e_norm",
+        names="names=[north, south, shore]",
+    )
+    assert verdict.found.startswith(words), verdict.found
+    assert "vehicle" not in verdict.found
+
+
+@pytest.mark.parametrize("heard", [None, 0.1])
+def test_a_sender_that_is_gone_is_called_by_its_name(heard: float | None) -> None:
+    silent = LastMessage(1, 2, 0.2, 0.2, "down", heard, True)
+    last = "nothing" if heard is None else "what it sent at 0.1 s"
+    assert silent.words(["north", "south"]) == f"north sends no more, and the last that south has of it is {last}"

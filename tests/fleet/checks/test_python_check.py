@@ -105,6 +105,18 @@ def test_a_failure_has_its_moment(module: Path) -> None:
     )
 
 
+def test_a_failure_calls_nodes_by_their_names(module: Path) -> None:
+    found = verdict(module, DEEP, faults=FAULTS, fates=[fate(1, 2, 0)], names="names=[north, south, shore]")
+    assert found.found.startswith(
+        "too deep (south), z 9 at 1 s; fault cut active; the last message that south received"
+    )
+
+
+def test_a_signal_that_is_missing_is_missed_by_name(module: Path) -> None:
+    found = verdict(module, DEEP.replace("control.u_err", "no.such"), names="names=[north, south, shore]")
+    assert "north has no signal 'no.such'" in found.found and "vehicle" not in found.found
+
+
 def test_the_end_may_show_a_failure(module: Path) -> None:
     code = "class Check:\n    def __init__(self, facts): pass\n    def step(self, tick): pass\n"
     never = code + "    def verdict(self): return Failure('never a leader', (1, 2))\n"

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fleet.cli.types import TIME as TIME
     from fleet.errors import FleetError as FleetError
     from fleet.execution.options import Options as Options
+    from fleet.execution.wiring import Wiring as Wiring
     from fleet.mcap.other import OtherData as OtherData
     from fleet.option import Option as Option
     from fleet.scenario.faults.kind import FaultKind as FaultKind
@@ -47,6 +48,7 @@ _PLACES = {
     "Selection": "fleet.cli.exporter",
     "TIME": "fleet.cli.types",
     "VehicleFaultKind": "fleet.scenario.faults.kind",
+    "Wiring": "fleet.execution.wiring",
     "command": "fleet.cli.declare",
     "print_result": "fleet.cli.documents.output",
     "say": "fleet.terminal.width",

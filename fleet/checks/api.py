@@ -16,10 +16,10 @@ parameters that the scenario gives it. It has
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
-from fleet.quantities import time_ns
+from fleet.quantities import time_ns, vehicle_names
 from fleet.quantities import vehicle_numbers as vehicle_numbers
 from fleet.result.verdict import Margin as Margin
 
@@ -70,6 +70,17 @@ class Facts(NamedTuple):
             The name of a node, or the number.
         """
         return self.names[vehicle - 1] if self.names else str(vehicle)
+
+    def called(self, vehicles: Sequence[int]) -> str:
+        """How a sentence calls some vehicles.
+
+        Args:
+            vehicles: their numbers, at least one.
+
+        Returns:
+            `vehicle 3`, `vehicles 3, 4`, or the names of nodes. Of more than eight, eight and how many more.
+        """
+        return vehicle_names(vehicles, self.names)
 
 
 class Packet(NamedTuple):

@@ -11,6 +11,7 @@ from fleet.cli.declare import Extension, FromAddOns
 
 if TYPE_CHECKING:
     from fleet.execution.options import Options
+    from fleet.execution.wiring import Wiring
     from fleet.scenario.scenario import Scenario
 
 
@@ -53,6 +54,22 @@ class Companion(Extension):
             FleetError: something that the options need is missing here.
         """
         return how
+
+    def wire(self, scenario: Scenario, wiring: Wiring, one_process: str) -> Wiring:
+        """How the run is connected, if one of the options was given.
+
+        Args:
+            scenario: what is to be run.
+            wiring: as the companions before have it.
+            one_process: as for `prepare`.
+
+        Returns:
+            The wiring with what this companion needs.
+
+        Raises:
+            FleetError: the options do not go together, or with the scenario.
+        """
+        return wiring
 
     @contextmanager
     def start(self, how: Options) -> Iterator[RunCompanion]:

@@ -21,6 +21,7 @@ from fleet.cli.group import EPILOG, typed_command
 from fleet.cli.junit import Junit
 from fleet.cli.types import Trust, Whole, is_given
 from fleet.execution.options import Options
+from fleet.execution.wiring import USUAL, Wiring
 from fleet.option import Option
 from fleet.terminal.output import OutputError, give_up_output
 from fleet.terminal.progress import showing
@@ -87,16 +88,21 @@ def run(
         for warning in [*analyse(loaded).warnings, *warnings(loaded)]:
             say(f"warning: {warning}", err=True)
     beside = [each for each in companions if each.asked]
-    asked = _check_options(loaded, start, how, beside, terminal)
+    asked, wiring = _check_options(loaded, start, how, beside, terminal)
     if asked.clock is Clock.REAL:  # also with --quiet, which is for progress and not for what will be gone
         say(f"warning: {_DEPRECATED_CLOCK}", err=True)
     if not how.quiet:
         _tell_plan(loaded, start, in_process=asked.in_process)
-    execute_and_print(loaded, asked, beside, terminal, junit)
+    execute_and_print(loaded, asked, beside, terminal, junit, wiring)
 
 
 def execute_and_print(
-    scenario: Scenario, options: Options, companions: Sequence[Companion], terminal: Terminal, junit: Path | None
+    scenario: Scenario,
+    options: Options,
+    companions: Sequence[Companion],
+    terminal: Terminal,
+    junit: Path | None,
+    wiring: Wiring = USUAL,
 ) -> NoReturn:
     """Run a scenario, print its result, and exit with its status.
 
@@ -106,9 +112,11 @@ def execute_and_print(
         companions: what goes on beside the run.
         terminal: for progress and warnings.
         junit: where the result is written as a JUnit file, too; None: nowhere.
+        wiring: what it is connected to, as the companions have it.
     """
     from fleet.execution.execute import execute
 
+    scenario = _with_begun_faults(scenario, wiring.start, quiet=options.quiet)
     with ExitStack() as stack:
         beside = [stack.enter_context(each.start(options)) for each in companions]
 
@@ -116,13 +124,29 @@ def execute_and_print(
             for each in reversed(beside):  # what may end the run's wait for a listener, such as the page, comes last
                 _tell(each.on_run_published, directory)
 
-        result = execute(scenario, replace(options, on_published=on_published), terminal)
+        result = execute(scenario, options, terminal, replace(wiring, on_published=on_published))
         if result.directory is not None:
             for each in beside:
                 _tell(each.on_run_ended, result.directory)
         cli_junit.write(junit, result.scenario, cli_junit.run_cases(result, typed_command()))
         _print_result(result, quiet=options.quiet)
     sys.exit(result.status.exit)
+
+
+def _with_begun_faults(scenario: Scenario, start: Start | None, *, quiet: bool) -> Scenario:
+    """The scenario with the faults that its triggers begin, which are said."""
+    from fleet.execution.triggered import resolve_triggers
+    from fleet.scenario.scenario import fault_line, timeline
+    from fleet.scenario.sections.triggers import moments
+
+    names = moments(scenario.spec.triggers, scenario.spec)
+    if not names:
+        return scenario
+    scenario = resolve_triggers(scenario, start)
+    for fault in () if quiet else timeline(scenario):
+        if fault.id in names:
+            say(f"{fault_line(fault)}, {names[fault.id]}", err=True)
+    return scenario
 
 
 def _tell(hear: Callable[[Path], None], directory: Path) -> None:
@@ -135,22 +159,28 @@ def _tell(hear: Callable[[Path], None], directory: Path) -> None:
 
 def _check_options(
     scenario: Scenario, start: Start | None, how: Options, companions: Sequence[Companion], terminal: Terminal
-) -> Options:
-    """How to run a scenario. Raises UsageError, FleetError: options do not go together, or with the scenario."""
+) -> tuple[Options, Wiring]:
+    """How to run a scenario, and what it is connected to.
+
+    Raises:
+        UsageError, FleetError: options do not go together, or with the scenario.
+    """
     one_process = (
         "--in-process" if how.in_process else "--from" if start else "network: ideal" if scenario.ideal else ""
     )
     _check_clock(how.speed, how.clock, one_process)
+    wiring = Wiring(start=start)
     for companion in companions:
         how = companion.prepare(scenario, how, one_process)
-    for warning in how.rendezvous.warnings if how.rendezvous else ():
+        wiring = companion.wire(scenario, wiring, one_process)
+    for warning in wiring.rendezvous.warnings if wiring.rendezvous else ():
         terminal.print(f"warning: {warning}", style="bold red", highlight=False, markup=False, soft_wrap=True)
     if how.wait_for_subscribers and not how.publish:
         raise click.UsageError(
             "--wait-for-subscribers needs --publish, or an option that publishes the run, too: without it there is "
             "nothing to subscribe to"
         )
-    return replace(how, start=start)
+    return how, wiring
 
 
 def _tell_plan(scenario: Scenario, start: Start | None, *, in_process: bool) -> None:

@@ -22,6 +22,7 @@ from fleet.execution.options import Options
 from fleet.execution.runner import Closing
 from fleet.execution.session import EXPECTED, EventKind
 from fleet.execution.supervisor import Supervisor
+from fleet.execution.wiring import Wiring
 from fleet.processes.children import Exit
 from fleet.processes.interrupts import deferring_interrupts
 from fleet.recorder.journal import Journal
@@ -51,6 +52,7 @@ class Console:
         directory: RunDirectory,
         journal: Journal,
         options: Options,
+        wiring: Wiring,
         hosting: Hosting,
         run: str,
         print_line: Callable[[str], None],
@@ -59,7 +61,7 @@ class Console:
         operator a line that stays.
         """
         self._scenario, self._journal, self._options = scenario, journal, options
-        self._fleet = fleet = Supervisor(scenario, journal, directory, options, hosting, run, print_line)
+        self._fleet = fleet = Supervisor(scenario, journal, directory, options, wiring, hosting, run, print_line)
         self.deaths, self.notes = fleet.deaths, fleet.notes.lines
         self._operator: Operator | None = None  # until everyone is ready
         self._silent = {EventKind.FRAME, EventKind.LINKS}  # keys on which no greeting was heard

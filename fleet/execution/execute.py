@@ -27,6 +27,7 @@ from fleet.execution.progress import ProgressLine
 from fleet.execution.registry import RegistryError, register
 from fleet.execution.runner import Runner
 from fleet.execution.triggered import resolve_triggers
+from fleet.execution.wiring import USUAL, Wiring
 from fleet.processes.interrupts import DeferInterrupts, HungUp
 from fleet.processes.limits import NO_THREAD, no_thread
 from fleet.processes.ports import free_port
@@ -40,8 +41,7 @@ from fleet.result.file import write_result
 from fleet.result.result import Published, Result, Status, Wall
 from fleet.result.timing import Punctual
 from fleet.scenario.programs import admit_programs
-from fleet.scenario.scenario import Scenario, fault_line, timeline
-from fleet.scenario.sections.triggers import moments
+from fleet.scenario.scenario import Scenario
 from fleet.terminal.progress import showing
 from fleet.terminal.status_line import StatusLine
 from netem.clock import Clock
@@ -53,6 +53,7 @@ from world.plugins.output import lines_go_into
 class _Run:
     scenario: Scenario
     options: Options
+    wiring: Wiring
     directory: RunDirectory
     publisher: LivePublisher | None
     log: LogFile | NoLog
@@ -65,11 +66,14 @@ class _Run:
     wall_s: float = 0.0  # from the first process on
 
 
-def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None) -> Result:
+def execute(scenario: Scenario, options: Options, terminal: Terminal | None = None, wiring: Wiring = USUAL) -> Result:
     """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
 
     Args:
+        scenario: what is run. Its triggers are resolved before, if nobody has done so.
+        options: how the user wants it.
         terminal: where progress is shown; None: stderr.
+        wiring: what it is connected to.
 
     Raises:
         ScenarioError: a plant cannot be started, or a module may not run.
@@ -80,22 +84,16 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
             published, an agent is external in a run
             in one process, or the run that this one goes on from does not come out as its log has it.
     """
-    if scenario.spec.triggers:
-        names = moments(scenario.spec.triggers, scenario.spec)
-        scenario = resolve_triggers(scenario, options.start)
-        for fault in () if options.quiet else timeline(scenario):
-            if fault.id in names:
-                text = f"{fault_line(fault)}, {names[fault.id]}"
-                (terminal or Terminal(stderr=True)).print(text, markup=False, highlight=False, soft_wrap=True)
+    scenario = resolve_triggers(scenario, wiring.start)
     if has_gateways(scenario):
         admit_programs(scenario.spec, scenario.reading.policy)
     try_plants(scenario)
-    moment = None if options.start is None else _run_prefix(options.start, quiet=options.quiet)
+    moment = None if wiring.start is None else _run_prefix(wiring.start, quiet=options.quiet)
     interrupts = DeferInterrupts()
     with interrupts.handling(), ExitStack() as while_it_lives:
         if moment is not None:
             while_it_lives.callback(moment.run.release)
-        run = _prepare(scenario, options, moment, terminal or Terminal(stderr=True), interrupts, while_it_lives)
+        run = _prepare(scenario, options, wiring, moment, terminal or Terminal(stderr=True), interrupts, while_it_lives)
         _serve(run)
         with interrupts:  # what there is gets written, whatever comes meanwhile
             settle(run.journal, run.log, run.runner, run.result)
@@ -113,23 +111,24 @@ def _run_prefix(start: Start, *, quiet: bool) -> Prefix:
 def _prepare(
     scenario: Scenario,
     options: Options,
+    wiring: Wiring,
     moment: Prefix | None,
     terminal: Terminal,
     interrupts: DeferInterrupts,
     while_it_lives: ExitStack,
 ) -> _Run:
     """Make the run directory, the log and the journal; start the publisher, if there is one, and nothing else."""
-    if scenario.nodes and options.relay is None:
+    if scenario.nodes and wiring.relay is None:
         refuse(scenario, "a run of vehicles")
-    in_process = options.in_process or scenario.ideal or options.start is not None
+    in_process = options.in_process or scenario.ideal or wiring.start is not None
     if in_process:
         refuse(scenario, "a run in one process")
     elif options.port is not None:
         free_port(options.port)  # before anything is made
-    shared = Hosting() if in_process else hosting(scenario, options)
+    shared = Hosting() if in_process else hosting(scenario, options.clock, wiring.rendezvous)
 
     # Before anything is made, too: one in Python may be wrong.
-    checks = OwnChecks.from_scenario(scenario, 0 if options.start is None else options.start.tick)
+    checks = OwnChecks.from_scenario(scenario, 0 if wiring.start is None else wiring.start.tick)
     line = StatusLine(terminal, quiet=options.quiet)
     directory = while_it_lives.enter_context(closing(RunDirectory(options.out, scenario.name, scenario.seed)))
     if in_process:
@@ -141,29 +140,29 @@ def _prepare(
     except RegistryError as error:
         if not in_process:  # a run in one process answers no command
             line.print(f"the run is not registered: {error}; commands find it with --run {directory.path}")
-    number = (options.rendezvous and options.rendezvous.run) or secrets.token_hex(4)
+    number = (wiring.rendezvous and wiring.rendezvous.run) or secrets.token_hex(4)
     publisher = (
         LivePublisher(number, directory.observe, text, wait=options.wait_for_subscribers) if options.publish else None
     )
     log = NoLog() if scenario.spec.log.none else LogFile(directory.log)
     links = None if moment is None else moment.links
-    writer = LogWriter(log, scenario, options.start, publisher, options.clock, links)
+    writer = LogWriter(log, scenario, wiring.start, publisher, options.clock, links)
     if publisher is not None:
         publisher.open()
         where = f"fleet/{publisher.run}/log/** at {publisher.endpoint}"
         line.print(f"publishing {where}; how to join: {directory.observe}")
-        if options.on_published is not None:
-            options.on_published(directory.path)
+        if wiring.on_published is not None:
+            wiring.on_published(directory.path)
     journal = Journal(scenario, writer, interrupts, checks)
     runner: Runner
-    if options.relay is not None:
-        runner = options.relay(scenario, directory, journal, log, number, line.print)
+    if wiring.relay is not None:
+        runner = wiring.relay(scenario, directory, journal, log, number, line.print)
     elif in_process:
         runner = InProcess(scenario, journal, None if moment is None else moment.run)
     else:
         from fleet.execution.console import Console  # here, because it imports zenoh and multiprocessing
 
-        runner = Console(scenario, directory, journal, options, shared, number, line.print)
+        runner = Console(scenario, directory, journal, options, wiring, shared, number, line.print)
     result = Result(
         run=directory.path.name,
         directory=directory.path,
@@ -171,7 +170,7 @@ def _prepare(
         seed=scenario.seed,
         status=Status.PASS,
     )
-    return _Run(scenario, options, directory, publisher, log, journal, runner, line, result, in_process, shared)
+    return _Run(scenario, options, wiring, directory, publisher, log, journal, runner, line, result, in_process, shared)
 
 
 def _serve(run: _Run) -> None:
@@ -183,7 +182,7 @@ def _serve(run: _Run) -> None:
         began = time.monotonic()
         with run.line:
             progress = ProgressLine(run.scenario, run.journal, run.line, lambda: run.runner.waiting)
-            run.runner.serve(_policy(run.scenario, run.options), progress)
+            run.runner.serve(_policy(run.scenario, run.options, run.wiring.start), progress)
     except RunBroken as error:
         result.status, result.reason, result.lines = Status.BROKEN, error.reason, error.lines
         if found := next((line.strip() for line in error.lines if NO_THREAD in line), ""):
@@ -235,10 +234,10 @@ def _report(run: _Run) -> None:
         run.directory.remove_result()
 
 
-def _policy(scenario: Scenario, options: Options) -> GrantPolicy:
+def _policy(scenario: Scenario, options: Options, start: Start | None = None) -> GrantPolicy:
     if options.clock is Clock.REAL:
         return GrantPolicy.of(scenario, options.speed or 1.0, lead_ns=WINDOW_NS)
-    begin = 0 if options.start is None else options.start.tick
+    begin = 0 if start is None else start.tick
     # A real computer cannot go faster. The wall clock only holds the run back: its log is the same.
     speed = options.speed or (1.0 if has_gateways(scenario) else None)
     return GrantPolicy.of(scenario, speed, begin=begin)

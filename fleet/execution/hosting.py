@@ -19,7 +19,7 @@ from typing import TypeVar
 
 from agents.controllers import BUILT_IN, laws
 from fleet.errors import FleetError
-from fleet.execution.options import Options
+from fleet.execution.rendezvous import Rendezvous
 from fleet.processes.limits import processors
 from fleet.scenario.scenario import Scenario
 from netem.clock import Clock
@@ -62,19 +62,19 @@ class Hosting:
         return ChainMap(dict(by_role), shared)
 
 
-def hosting(scenario: Scenario, options: Options) -> Hosting:
+def hosting(scenario: Scenario, clock: Clock, rendezvous: Rendezvous | None = None) -> Hosting:
     """How the agents of a run share processes. Raises FleetError: they are to, but not in a run like this."""
     own = [i for i in range(1, scenario.vehicles + 1) if i not in scenario.external]
     most = scenario.spec.agents.per_process
-    router = options.rendezvous is not None and options.rendezvous.router is not None
+    router = rendezvous is not None and rendezvous.router is not None
     if most == "auto":
-        if router or options.clock is Clock.REAL or len(own) <= AUTO_ABOVE:
+        if router or clock is Clock.REAL or len(own) <= AUTO_ABOVE:
             return Hosting()
         # A law of a user's may keep what it knows in its module, or end its process: it shares none unasked.
         known = {i: laws(scenario.controls[i - 1]).items() for i in own}
         ours = [i for i in own if all(law.name in BUILT_IN[kind] for kind, law in known[i])]
         return _share(ours, min(AUTO_MOST, ceil(len(ours) / (AUTO_PER_CPU * processors()))))
-    if most > 1 and options.clock is Clock.REAL:
+    if most > 1 and clock is Clock.REAL:
         raise _refusal(most, "with --clock real an agent that is late would make the others late")
     if most > 1 and router:
         raise _refusal(most, "a router that is there already has a login for each agent, and none for several")

@@ -20,6 +20,7 @@ from fleet.execution.external_agents import ExternalAgents
 from fleet.execution.hosting import Hosting
 from fleet.execution.options import Options
 from fleet.execution.rendezvous import Rendezvous
+from fleet.execution.wiring import Wiring
 from fleet.processes.children import Children, forkserver_death
 from fleet.processes.limits import allow_open_files, processors
 from fleet.processes.ports import free_port
@@ -45,6 +46,7 @@ class Launch:
         self,
         scenario: Scenario,
         options: Options,
+        wiring: Wiring,
         hosting: Hosting,
         keys: Keys,
         directory: RunDirectory,
@@ -55,7 +57,7 @@ class Launch:
         """
         self._scenario, self._options, self._hosting, self._keys = scenario, options, hosting, keys
         self._directory, self._children = directory, children
-        self._rendezvous = options.rendezvous or Rendezvous()
+        self._rendezvous, self._order = wiring.rendezvous or Rendezvous(), wiring.start_order
         everyone = tuple(range(1, scenario.vehicles + 1))
         self.credentials = self._rendezvous.credentials or generate(everyone, hosts=hosting.members)  # by role
         self.joins_router = self._rendezvous.router is not None  # one that is there already; else the world hosts one
@@ -98,8 +100,7 @@ class Launch:
         for i in range(1, self._scenario.vehicles + 1):
             if i not in elsewhere:
                 targets[agent_role(i)] = self.agent(i)
-        order = self._options.start_order
-        return targets if order is None else {role: targets[role] for role in order(list(targets))}
+        return targets if self._order is None else {role: targets[role] for role in self._order(list(targets))}
 
     def agent(self, i: int, incarnation: int = 0, begin: int = 0) -> Target:
         """The function that an agent's process runs, in the life `incarnation` that begins at tick `begin`."""

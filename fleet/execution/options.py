@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from fleet.option import Kind, Limits, Option
 from netem.clock import Clock
-
-if TYPE_CHECKING:
-    from fleet.execution.rendezvous import Rendezvous
-    from fleet.execution.runner import MakeRelay
-    from fleet.recorder.start import Start
 
 RunsFolder = Annotated[Path, Option("The folder for run directories.", "DIR", "-o --out")]
 OnlyDirectory = Annotated[bool, Option("Print only the run's directory; failures go to stderr.", flag="-q --quiet")]
@@ -26,7 +20,7 @@ class Options:
     In lockstep everyone waits for everyone, and `speed` only holds the run back. With the clock `real` ticks begin by
     the wall clock, `speed` times as fast, and wait for nobody, so agents can be late.
 
-    A field with an `Option` is an option of `fleet run`.
+    Each field is an option of `fleet run`.
     """
 
     out: RunsFolder = Path("runs")
@@ -48,8 +42,3 @@ class Options:
     join_timeout_s: Annotated[float, Kind.TIME, Option(
         "How long to wait for each external agent.", flag="--join-timeout")] = 300.0  # fmt: skip
     quiet: OnlyDirectory = False
-    on_published: Callable[[Path], None] | None = None  # is told the run's directory when its journal can be read
-    start: Start | None = None  # where it goes on from another run; in-process only
-    start_order: Callable[[list[str]], list[str]] | None = None  # orders the roles; None: the usual order
-    rendezvous: Rendezvous | None = None  # how processes on several hosts meet; None: all are on this one
-    relay: MakeRelay | None = None  # makes the run of a scenario with nodes

@@ -23,6 +23,7 @@ from fleet.execution.launch import Launch
 from fleet.execution.notes import Notes, tick_text
 from fleet.execution.options import Options
 from fleet.execution.session import EventKind, EventQueue, Session, connect_to_router, connect_to_world
+from fleet.execution.wiring import Wiring
 from fleet.processes.children import (
     FORKSERVER_LOST,
     Children,
@@ -60,13 +61,14 @@ class Supervisor:
         journal: Journal,
         directory: RunDirectory,
         options: Options,
+        wiring: Wiring,
         hosting: Hosting,
         run: str,
         print_line: Callable[[str], None],
     ) -> None:
         """Prepare it; nothing is started. The arguments are those of the console."""
         self._scenario, self._journal, self._directory = scenario, journal, directory
-        self._options, self._hosting, self._keys = options, hosting, Keys(run)
+        self._options, self._wiring, self._hosting, self._keys = options, wiring, hosting, Keys(run)
         self.events = EventQueue()
         self.external = ExternalAgents(scenario, directory, print_line)
         self.notes = Notes(scenario.tick_ns)
@@ -99,7 +101,13 @@ class Supervisor:
         agent cannot be written.
         """
         self._launch = launch = Launch(
-            self._scenario, self._options, self._hosting, self._keys, self._directory, self._children
+            self._scenario,
+            self._options,
+            self._wiring,
+            self._hosting,
+            self._keys,
+            self._directory,
+            self._children,
         )
         own = launch.credentials[CONSOLE]
         if launch.joins_router:

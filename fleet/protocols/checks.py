@@ -9,7 +9,6 @@ from fleet.checks.api import Facts, Failure, Margin, NotJudged, Tick, Vehicle, s
 from fleet.checks.sides import ReachableGroups
 from fleet.protocols.bidder import rounds_needed
 from fleet.protocols.bundle_auction import places_of
-from fleet.quantities import vehicle_names
 
 
 class NoConflict:
@@ -106,7 +105,7 @@ def _diameter(facts: Facts) -> int:
         while len(found) < facts.vehicles:
             more = {b for a, b in facts.links if a in found} - found
             if not more:
-                raise ValueError(f"what {vehicle_names([start], facts.names)} says never reaches all others")
+                raise ValueError(f"what {facts.called([start])} says never reaches all others")
             found |= more
             hops += 1
         most = max(most, hops)
@@ -142,7 +141,7 @@ class TrueMean:
                 self._worst = max(map(abs, off)), tick.t
             if max(map(abs, off)) >= self._below:
                 those = tuple(i for i, each in zip(side, off, strict=True) if abs(each) >= self._below)
-                text = f"the mean of {vehicle_names(side, self._facts.names)} is {mean:.6g} degC"
+                text = f"the mean of {self._facts.called(side)} is {mean:.6g} degC"
                 text += ", and their averages are off by up to"
                 values = {"mean [degC]": mean, "sum of all errors [degC]": sum(off)}
                 return Failure(f"{text} {max(off, key=abs):.3g} degC", those, values)

@@ -18,6 +18,7 @@ from agents.payload import StateMessage, encode
 from fleet.analysis.randomness import may_draw
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
@@ -115,7 +116,7 @@ def test_a_leader_that_was_never_heard_is_silent_from_the_first_sample_on() -> N
 def test_a_run_goes_on_from_its_log(tmp_path: Path) -> None:
     whole = execute(load_scenario("leader-lost-standby", SHORT), Options(tmp_path, in_process=True, quiet=True))
     scenario, start = continuation(whole.directory, 1_500_000_000)
-    rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
+    rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True), wiring=Wiring(start=start))
     assert rest.values["vehicles"]["4"]["formation_final_m"] == whole.values["vehicles"]["4"]["formation_final_m"]
     assert start.notes[1:] == ()
 

@@ -12,6 +12,7 @@ from shared import made_once
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import USUAL, Wiring
 from fleet.result.result import Result, Status
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.text.overrides import Override
@@ -19,9 +20,10 @@ from fleet.scenario.text.overrides import Override
 Alone = Callable[..., Result]
 
 
-def recorded(folder: Path, name: str, *overrides: Override | str, **options: Any) -> Result:
+def recorded(folder: Path, name: str, *overrides: Override | str, wiring: Wiring = USUAL, **options: Any) -> Result:
     """A run of a scenario in this process; `options` are further ones of `Options`."""
-    return execute(load_scenario(name, overrides), Options(folder, quiet=True, **{"in_process": True, **options}))
+    how = Options(folder, quiet=True, **{"in_process": True, **options})
+    return execute(load_scenario(name, overrides), how, wiring=wiring)
 
 
 @pytest.fixture(scope="session")

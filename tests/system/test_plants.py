@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,9 @@ from tool import invoke
 from fleet.addons.studies.explanation.what_if import what_if
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.logs.open_log import open_log
+from fleet.recorder.start import Start
 from fleet.repeat.resume import continuation
 from fleet.repeat.verify import verify
 from fleet.result.result import Result, Status
@@ -32,8 +33,8 @@ def mixed(*overrides: str) -> Scenario:
     return load_scenario("rough-sea", [*NOISY, *overrides])
 
 
-def run(scenario: Scenario, folder: Path, *, in_process: bool = True, **options: Any) -> Result:
-    return execute(scenario, Options(folder, in_process=in_process, quiet=True, **options))
+def run(scenario: Scenario, folder: Path, *, in_process: bool = True, start: Start | None = None) -> Result:
+    return execute(scenario, Options(folder, in_process=in_process, quiet=True), wiring=Wiring(start=start))
 
 
 FAILING = "per_vehicle.2.vehicle={plant: {name: 'own_plants:Failing', parameters: {how: raise, at: 60}}}"

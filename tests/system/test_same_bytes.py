@@ -20,6 +20,7 @@ from mcap.stream_reader import StreamReader
 from spawned import fleet
 
 from fleet.execution.directory import RunDirectory
+from fleet.execution.wiring import Wiring
 from fleet.mcap.reader import LogReader, digest
 from fleet.repeat.verify import verification_lines, verify
 from fleet.result.result import Status
@@ -125,12 +126,12 @@ def again(row: str, out: Path, alone: Alone) -> None:
 def distributed(row: str, out: Path, alone: Alone) -> None:
     """Processes and a plain loop write the same file, so no scheduling, no order of arrival and no order of starts
     reaches a result. Every distributed run schedules differently, so each is a new sample of that."""
-    assert_same_bytes(once(alone, row), run(out, row, start_order=ORDERS["world last"]))
+    assert_same_bytes(once(alone, row), run(out, row, wiring=Wiring(start_order=ORDERS["world last"])))
 
 
 def agents_first(row: str, out: Path, alone: Alone) -> None:
     """The same in another order of starts."""
-    assert_same_bytes(once(alone, row), run(out, row, start_order=ORDERS["agents first"]))
+    assert_same_bytes(once(alone, row), run(out, row, wiring=Wiring(start_order=ORDERS["agents first"])))
 
 
 def hosted(row: str, out: Path, alone: Alone) -> None:

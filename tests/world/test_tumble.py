@@ -14,6 +14,7 @@ from loops import NU0, PARAMS, TAU_MAX, world_config
 
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.logs.open_log import open_log
 from fleet.repeat.resume import continuation
 from fleet.result.result import Result, Status
@@ -130,7 +131,7 @@ def test_a_run_that_goes_on_while_a_vehicle_is_tumbled_knows_it(tmp_path: Path) 
     at_ns = round((spell["from_s"] + 0.6) * 1e9)
     assert spell["to_s"] is None or spell["to_s"] * 1e9 > at_ns
     scenario, start = continuation(whole.directory, at_ns)
-    rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
+    rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True), wiring=Wiring(start=start))
     assert [s["vehicle"] for s in rest.values["tumbles"]][:1] == [3]
     assert rest.values["tumbles"][0]["to_s"] == spell["to_s"]
     assert not next(v for v in rest.checks if v.check == "tumbled").passed

@@ -17,6 +17,7 @@ from repository import ROOT
 import fleet
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.mcap.reader import LogReader
 from fleet.repeat.resume import continuation
 from fleet.scenario.loading import parse_scenario
@@ -124,7 +125,7 @@ def test_it_goes_on_from_a_snapshot(name: str, tmp_path: Path) -> None:
     changes = [*(Override(FAULT, fault) for fault in faults)]
     first = execute(parse_scenario(text, "sea.yaml", changes), Options(tmp_path, in_process=True, quiet=True))
     scenario, start = continuation(first.directory, 1_000_000_000)
-    again = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
+    again = execute(scenario, Options(tmp_path, in_process=True, quiet=True), wiring=Wiring(start=start))
     whole, rest = (
         [record for record in LogReader(run.directory / "run.mcap") if record.log_ns >= 1_000_000_000]
         for run in (first, again)

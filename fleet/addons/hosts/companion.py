@@ -12,8 +12,8 @@ from fleet.errors import FleetError
 from fleet.option import Option, fields
 
 if TYPE_CHECKING:
-    from fleet.execution.options import Options
     from fleet.execution.rendezvous import Rendezvous
+    from fleet.execution.wiring import Wiring
     from fleet.scenario.scenario import Scenario
 
 # Limits of --lease [s]. Between processes of one host the lease is an hour.
@@ -115,6 +115,6 @@ class Hosts(Companion):
         """Whether there are other hosts. A lease alone asks for none."""
         return any(is_given(name) for name in fields(HostsOptions) if name != "lease")
 
-    def prepare(self, scenario: Scenario, how: Options, one_process: str) -> Options:
+    def wire(self, scenario: Scenario, wiring: Wiring, one_process: str) -> Wiring:
         """The run meets where the options say. Raises FleetError: they do not go together, or with the scenario."""
-        return replace(how, rendezvous=rendezvous(scenario, self.options, in_process=bool(one_process)))
+        return replace(wiring, rendezvous=rendezvous(scenario, self.options, in_process=bool(one_process)))

@@ -14,6 +14,7 @@ from fleet.addons.page.feed import fault_message
 from fleet.addons.page.log_feed import LogFeed
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.logs.open_log import open_log
 from fleet.mcap.reader import LogReadError
 from fleet.repeat.resume import continuation
@@ -52,7 +53,7 @@ def test_what_was_heard_before_a_run_went_on_is_not_known(tmp_path: Path, alone:
     """Its age was counted from 0, although something had been heard in the run before."""
     first = log_of(alone("paper", *SHORT))
     scenario, start = continuation(first, 2_000_000_000, ["faults=[{at: 2 s, mute: 2}]", "duration=3 s"])
-    made = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
+    made = execute(scenario, Options(tmp_path, in_process=True, quiet=True), wiring=Wiring(start=start))
     assert made.directory is not None
     feed = LogFeed(made.directory / "run.mcap")
     feed.seek(2.5)

@@ -80,11 +80,9 @@ def test_a_verb_has_json_exactly_if_it_has_a_document() -> None:
         assert all(words.startswith(name) for words in verb.documents)
 
 
-def test_fields_that_are_no_options_are_known() -> None:
+def test_every_field_is_an_option() -> None:
     """A field whose type only the type checker can read is none, so a lost import would take an option away."""
-    inner = {"on_published", "start", "start_order", "rendezvous", "relay"}
-    assert set(Options.__dataclass_fields__) - set(fields(Options)) == inner
-    for kind in (HostsOptions, PlaybackOptions, WorkerOptions, MakingStudy, Changes):
+    for kind in (Options, HostsOptions, PlaybackOptions, WorkerOptions, MakingStudy, Changes):
         assert set(kind.__dataclass_fields__) == set(fields(kind))
     for spec in (StudySpec, BoundarySpec):
         assert set(spec.__struct_fields__) == set(fields(spec))

@@ -14,6 +14,7 @@ from fleet.execution import supervisor as module
 from fleet.execution.hosting import Hosting
 from fleet.execution.options import Options
 from fleet.execution.supervisor import CONTROLLER_FAILED, Supervisor
+from fleet.execution.wiring import USUAL
 from fleet.processes.children import FORKSERVER_LOST, Exit
 from fleet.recorder.journal import Journal
 from fleet.scenario.loading import load_scenario
@@ -97,7 +98,7 @@ class Rig:
         journal = Journal(scenario, None)  # type: ignore[arg-type]  # nothing is written
         journal.framed = 40
         shared, self.fleet, self.external = Hosting(hosts), Processes(), External(*external)
-        supervisor = Supervisor(scenario, journal, MagicMock(), Options(), shared, "canned", print)
+        supervisor = Supervisor(scenario, journal, MagicMock(), Options(), USUAL, shared, "canned", print)
         self.supervisor: Any = supervisor
         self.notes, self.killed = supervisor.notes, []
         vars(supervisor).update(

@@ -21,6 +21,7 @@ from small_scenario import small
 import fleet
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.logs.decoder import _unit
 from fleet.mcap.reader import LogReader
 from fleet.recorder.scene.link_state import CUTS, HISTORY
@@ -246,7 +247,8 @@ def test_a_run_that_goes_on_draws_the_same(log: Path, tmp_path: Path) -> None:
     """Histories of links come from the snapshot, and who is silent from the first frame."""
     for at in (1_000_000_000, 3_000_000_000):
         scenario, start = continuation(log, at)
-        again = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start)).directory / "run.mcap"
+        how = Options(tmp_path, in_process=True, quiet=True)
+        again = execute(scenario, how, wiring=Wiring(start=start)).directory / "run.mcap"
         rest, before = ([r for r in LogReader(path) if r.log_ns >= at] for path in (again, log))
         assert rest == before
 

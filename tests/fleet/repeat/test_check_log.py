@@ -15,6 +15,7 @@ from tool import invoke
 from fleet.errors import FleetError, ScenarioError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.repeat.check_log import check_log
 from fleet.repeat.resume import continuation
 from fleet.result.result import Result
@@ -146,7 +147,7 @@ def test_a_run_that_goes_on_is_judged_from_there(folder: Path) -> None:
     assert first.directory is not None
     asked = "{name: spread, topic: state.z, below: 99 m, eventually_within: 100 ms}"  # after where it begins
     scenario, start = continuation(first.directory, 1_000_000_000, [f"checks.signal.5={asked}"])
-    result = execute(scenario, Options(Path("runs"), in_process=True, quiet=True, start=start))
+    result = execute(scenario, Options(Path("runs"), in_process=True, quiet=True), wiring=Wiring(start=start))
     assert result.directory is not None
     verdicts = own(result)
     assert (verdicts[4].passed, verdicts[4].value) == (True, 0.0)

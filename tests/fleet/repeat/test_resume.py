@@ -28,6 +28,7 @@ from fleet.errors import FleetError
 from fleet.execution.execute import _policy, execute
 from fleet.execution.options import Options
 from fleet.execution.triggered import resolve_triggers
+from fleet.execution.wiring import Wiring
 from fleet.logs.open_log import open_log
 from fleet.logs.schemas import OLD_START
 from fleet.mcap.reader import LogReader, Record
@@ -56,7 +57,7 @@ NEMESIS = (
 
 
 def run(s: Scenario, folder: Path, start: Start | None = None) -> Result:
-    result = execute(s, Options(folder, in_process=True, quiet=True, start=start))
+    result = execute(s, Options(folder, in_process=True, quiet=True), wiring=Wiring(start=start))
     assert result.status is Status.PASS, result.reason
     return result
 
@@ -253,7 +254,7 @@ def test_times_and_speed_count_from_its_start(recorded: Alone, tmp_path: Path) -
     scenario, start = continuation(first.directory, 2_000_000_000)
     again = run(scenario, tmp_path, start)
     assert (first.values["from_s"], again.values["from_s"], again.values["sim_s"]) == (0.0, 2.0, 12.0)
-    assert _policy(scenario, Options(tmp_path, start=start, speed=2.0)).begin == 200
+    assert _policy(scenario, Options(tmp_path, speed=2.0), start).begin == 200
     wall = again.values["wall"]
     assert wall["x_real_time"] == pytest.approx(10.0 / wall["run_s"])
     for i, row in again.values["vehicles"].items():
@@ -286,7 +287,7 @@ def test_triggers_look_at_the_run_that_goes_on(recorded: Alone, tmp_path: Path) 
     begun = [(fault.id, fault.at) for fault in resolve_triggers(scenario, start).spec.faults]
     assert [name for name, _ in begun] == ["late"]
     assert 1.6e9 < begun[0][1] < 2.0e9
-    goes_on = execute(scenario, Options(tmp_path, quiet=True, start=start))
+    goes_on = execute(scenario, Options(tmp_path, quiet=True), wiring=Wiring(start=start))
     assert goes_on.status is Status.PASS, goes_on.reason
 
 

@@ -26,6 +26,7 @@ from agents.controllers import TRACKING
 from fleet.cores import machine
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.logs.decoder import Decoder
 from fleet.logs.deviation import compare
 from fleet.mcap.other import Recovered
@@ -341,7 +342,7 @@ def test_a_run_and_its_continuation_are_compared_from_where_it_begins(tmp_path: 
         (["controller=bsmc"], 1, "they part at message "),
     ):
         scenario, start = continuation(whole, 1_000_000_000, changes)
-        rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start)).directory
+        rest = execute(scenario, Options(tmp_path, in_process=True, quiet=True), wiring=Wiring(start=start)).directory
         for logs, name in (((whole, rest), "b"), ((rest, whole), "a")):
             result = invoke("diff", *logs, "-q")
             lines = result.stdout.splitlines()

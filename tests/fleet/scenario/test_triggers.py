@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 from marks import slow
+from rich.console import Console as Terminal
+from tool import invoke
 
 from fleet.addons.studies.bare_run import _BareRun
 from fleet.checks.triggers import Triggers
 from fleet.checks.values import LoggedValues
 from fleet.errors import ScenarioError
+from fleet.execution.execute import execute
+from fleet.execution.options import Options
 from fleet.execution.triggered import resolve_triggers
 from fleet.execution.whole_run import run_loaded
 from fleet.scenario.loading import parse_scenario
@@ -104,6 +110,22 @@ def test_the_run_is_that_of_the_faults_at_their_times(seed: int, changes: tuple[
     verdicts = bare.to_end(None)
     assert bare.triggers is not None and bare.triggers.begun == ordinary.spec.faults
     assert verdicts == [verdict for verdict in result.checks if verdict.check not in ("tumbled", "deaths")]
+
+
+def test_the_command_says_what_triggers_begin_and_the_run_itself_prints_nothing_before(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "t.yaml").write_text(ELECTION + LEADS % ("", "for: 1 s,"))
+    asked = ("run", tmp_path / "t.yaml", "--in-process", "--duration", "4 s", "--out", tmp_path, "--trust")
+    said = invoke(*asked).stderr.splitlines()
+    planned, begun_at = [line for line in said if "(id t1)" in line]
+    assert planned.startswith("fault 100 ms after control.leads above 0: partition itself / others")
+    assert begun_at.startswith("fault from 2") and begun_at.endswith("(id t1), 100 ms after control.leads above 0")
+    assert "(id t1)" not in invoke(*asked, "--quiet").stderr
+    terminal = Terminal(file=io.StringIO())
+    execute(election(LEADS % ("", "for: 1 s,"), "duration=4 s"), Options(tmp_path, in_process=True), terminal)
+    assert "(id t1)" not in terminal.file.getvalue()  # type: ignore[attr-defined]
+    assert capsys.readouterr().err == ""
 
 
 def test_a_record_of_the_scenario_keeps_its_triggers() -> None:

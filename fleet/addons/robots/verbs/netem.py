@@ -14,6 +14,7 @@ from fleet.cli.junit import Junit
 from fleet.cli.run import SEED, execute_and_print
 from fleet.cli.types import Trust
 from fleet.execution.options import OnlyDirectory, Options, RunsFolder
+from fleet.execution.wiring import USUAL, Wiring
 from fleet.option import Option
 from fleet.terminal.status_line import stderr
 from fleet.terminal.width import say
@@ -73,14 +74,16 @@ def netem(
         click.echo(scenario.to_yaml(), nl=False)
         return
     beside = [each for each in companions if each.asked]
+    wiring = USUAL
     if is_simulated:
         asked = Options(out, in_process=not beside, quiet=quiet)
     else:
-        asked = Options(out, clock=Clock.REAL, quiet=quiet, relay=RelayRun)
+        asked = Options(out, clock=Clock.REAL, quiet=quiet)
+        wiring = Wiring(relay=RelayRun)
         admit_programs(scenario.spec, scenario.reading.policy)
         if not quiet:
             for text in (*command_lines.warnings(scenario), *robot_addresses.warnings(scenario)):
                 say(f"warning: {text}", err=True)
     for companion in beside:
-        asked = companion.prepare(scenario, asked, "")
-    execute_and_print(scenario, asked, beside, stderr(), junit)
+        asked, wiring = companion.prepare(scenario, asked, ""), companion.wire(scenario, wiring, "")
+    execute_and_print(scenario, asked, beside, stderr(), junit, wiring)

@@ -19,6 +19,7 @@ from fleet.addons.studies.explanation.what_if import what_if
 from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.repeat.resume import continuation
 from fleet.result.result import Status
 
@@ -100,7 +101,7 @@ def test_of_a_run_that_goes_on_from_another_nothing_changed_is_identical(tmp_pat
     whole = run(tmp_path, "paper", "duration=3 s", LINKS)
     for overrides in ([], ["controller=bsmc"]):  # with its memory; without
         scenario, start = continuation(whole, 1_000_000_000, overrides)
-        later = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start)).directory
+        later = execute(scenario, Options(tmp_path, in_process=True, quiet=True), wiring=Wiring(start=start)).directory
         for agent in (1, 3):
             found = what_if(later, agent)
             assert (found.identical, found.first_s, len(found.t), found.notes) == (True, None, 200, [])

@@ -34,6 +34,7 @@ from fleet.addons.studies.shrink import tree_of
 from fleet.errors import FleetError
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
+from fleet.execution.wiring import Wiring
 from fleet.logs.open_log import Log, open_log
 from fleet.logs.topic_names import link_topic
 from fleet.repeat.resume import continuation
@@ -103,7 +104,7 @@ def test_a_run_that_goes_on_from_another_with_another_controller(tmp_path: Path)
     check = "checks={formation_error: {below: 50 m, after: 2 s}}"
     first = recorded(tmp_path, "rough-sea", "duration=3 s", check)
     scenario, start = continuation(first, 1_000_000_000, ["controller=boc", "checks.formation_error.below=1 cm"])
-    result = execute(scenario, Options(tmp_path, in_process=True, quiet=True, start=start))
+    result = execute(scenario, Options(tmp_path, in_process=True, quiet=True), wiring=Wiring(start=start))
     assert result.directory is not None
     why = explained(result.directory)
     assert why.differs == ["controller: boc, there nboc", "checks.formation_error.below: 0.01 m, there 50 m"]

@@ -186,46 +186,51 @@ def _hull(L: float, B: float, S: float, C_D0: float, heave_damping: float, nu: R
 
 def draw() -> None:
     """The picture of docs/background/plants.md."""
-    from matplotlib.figure import Figure
+    from fleet.addons.pictures import style
+    from fleet.palette import COLOURS
 
-    figure = Figure(figsize=(10, 7), layout="constrained")
-    axes = figure.subplots(2, 2)
+    figure, axes = style.panels(2, 2, height=4.6, share=False)
     table = stored()
-    panels = (
+    shown = (
         ("circle", "turning circle, rudder 15 deg", "east [m]", "north [m]", lambda run: (run[:, 1], run[:, 0])),
         (
             "rudder",
             "rudder step of 5 deg at 5 s",
-            "t [s]",
+            "time [s]",
             "yaw rate [deg/s]",
             lambda run: (None, np.degrees(run[:, 11])),
         ),
         (
             "stern",
             "stern plane step of 5 deg at 5 s",
-            "t [s]",
+            "time [s]",
             "pitch [deg]",
             lambda run: (None, np.degrees(run[:, 4])),
         ),
-        ("astern", "current of 0.5 m/s from astern", "t [s]", "speed over ground [m/s]", lambda run: (None, run[:, 6])),
+        (
+            "astern",
+            "current of 0.5 m/s from astern",
+            "time [s]",
+            "speed over ground [m/s]",
+            lambda run: (None, run[:, 6]),
+        ),
     )
-    for ax, (name, title, x_label, y_label, columns) in zip(axes.flat, panels, strict=True):
+    for ax, (name, title, x_label, y_label, columns) in zip(axes, shown, strict=True):
         theirs, same_hull = table[name]
         lines = (
-            (theirs, "reference", {"color": "0.6", "linewidth": 4}),
-            (driven(MANOEUVRES[name]), "remus100", {"color": "tab:blue"}),
+            (theirs, "reference", {"color": "0.7", "linewidth": style.HEAVY}),
+            (driven(MANOEUVRES[name]), "remus100", {"color": COLOURS[0]}),
             (same_hull, "reference with our hull", {"color": "black", "linestyle": ":"}),
         )
-        for run, label, style in lines:
+        for run, label, look in lines:
             x, y = columns(run)
-            ax.plot(np.arange(len(run)) * EVERY_S if x is None else x, y, label=label, **style)
+            ax.plot(np.arange(len(run)) * EVERY_S if x is None else x, y, label=label, **look)
         ax.set(title=title, xlabel=x_label, ylabel=y_label)
-        ax.grid(alpha=0.3)
-    axes[0, 0].set_aspect("equal")
-    axes[0, 1].legend()
-    axes[1, 0].set_xlim(0.0, 30.0)
-    axes[1, 1].set_xlim(0.0, 30.0)
-    figure.savefig(ROOT / "docs" / "background" / "plants-remus.png", dpi=90)
+    axes[0].set_aspect("equal")
+    style.legend(figure, axes[0], 3)
+    for ax in axes[2:]:
+        ax.set_xlim(0.0, 30.0)
+    style.save(figure, ROOT / "docs" / "background" / "plants-remus")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from fleet.addons.pictures.axes import finish, legend_of, marks_legend, time_axes
 from fleet.addons.pictures.look import label_pt
 from fleet.addons.pictures.runs import LoggedRun, NothingToDraw, View
-from fleet.addons.pictures.style import THIN, plain_decades
+from fleet.addons.pictures.style import THIN, plain_decades, plain_numbers
 from fleet.addons.pictures.thresholds import age_limits, draw_thresholds
 from fleet.logs.topic_names import link_topic
 from fleet.mcap.records import Array
@@ -52,6 +52,8 @@ _ROUNDS = 12  # shown by the space-time diagram unless a window is given
 _MOST_NAMED = 36  # rows
 _MOST_VEHICLES = 20  # of the space-time diagram
 _MOST_LINKS = 100  # with a row among the ages; of more, the oldest have one
+_NUMBER_IN = 0.15  # height that a number beside a bar of colours needs
+_ROUNDING = 1e-6  # ticks
 _ROW_IN = 0.11  # height of a link's row among the ages, enough for its name
 
 
@@ -167,7 +169,7 @@ def _vehicles_at_worst_link(
 
 
 def _moment(run: LoggedRun, packets: dict[Link, tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
-    """A window of some rounds: around the first fault, or the first loss, or in the middle."""
+    """A window of some rounds: before the first failure of a check, or around the first fault, or the first loss."""
     sent = np.unique(np.concatenate([sent for sent, _, _, _ in packets.values()]))
     due = np.concatenate([due - sent for sent, due, _, _ in packets.values()])
     if not len(sent):
@@ -176,7 +178,10 @@ def _moment(run: LoggedRun, packets: dict[Link, tuple[Array, Array, Array, Array
     width = max(_ROUNDS * period, 4.0 * float(np.percentile(due, 95)), 10 * run.tick_s)
     lost = [s[f != Cause.DELIVERED] for s, _, f, _ in packets.values()]
     first_lost = min((float(times.min()) for times in lost if len(times)), default=run.log.end / 2)
-    begin = (run.log.faults[0].begin if run.log.faults else first_lost) - width / 3
+    if run.failures:
+        begin = min(at_s for _, at_s in run.failures) - 3 * width / 4
+    else:
+        begin = (run.log.faults[0].begin if run.log.faults else first_lost) - width / 3
     begin = max(0.0, min(begin, run.log.end - width))
     return begin, min(begin + width, run.log.end)
 
@@ -256,9 +261,8 @@ def _first_ticks(run: LoggedRun, edges: Array) -> tuple[Array, int]:
     """The first tick from each edge [s] on, and the number of ticks that were started."""
     ticks = int(run.log.run.get("ticks", 0))
     count = min(round(run.log.end / run.tick_s) + 1, ticks) if ticks else round(run.log.end / run.tick_s) + 1
-    near = np.ceil(edges / run.tick_s)  # but for a rounding
-    near = near - ((near - 1) * run.tick_s >= edges) + (near * run.tick_s < edges)
-    first: Array = np.clip(near, 0, count).astype(np.int64)
+    # An edge that misses a tick by a rounding is at it: otherwise an interval of one tick would now and then be empty.
+    first: Array = np.clip(np.ceil(edges / run.tick_s - _ROUNDING), 0, count).astype(np.int64)
     return first, count
 
 
@@ -317,7 +321,7 @@ def ages(runs: Sequence[LoggedRun], view: View) -> Figure:
         ax.grid(False)
     bar = figure.colorbar(mesh, ax=axes[1:], location="right", aspect=18, pad=0.02)
     bar.set_label("age [s], peaks")
-    plain_decades(bar.ax.yaxis)
+    plain_numbers(bar.ax.yaxis, round(sum(heights[1:]) / _NUMBER_IN))
     finish(figure, axes, runs, [f"peak and mean in bins of {edges[1] - edges[0]:.2g} s", *notes])
     return figure
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from math import log10
+from math import ceil, floor, log10
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -13,7 +13,7 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
 from fleet.addons.pictures.caption import caption_of
 from fleet.addons.pictures.look import LEGEND_PT, TEXT_PT, current_look, page_in
@@ -89,6 +89,24 @@ def plain_decades(axis: Axis) -> None:
         return
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.0 else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def plain_numbers(axis: Axis, most: int) -> None:
+    """Numbers such as 0.2 on a logarithmic axis, at most so many, but never fewer than two."""
+    low, high = axis.get_view_interval()
+    powers = range(floor(log10(low)), ceil(log10(high)) + 1)
+    for digits in ((1, 2, 5), (1,)):
+        numbers = [digit * 10.0**power for power in powers for digit in digits]
+        found = [value for value in numbers if low * (1.0 - 1e-9) <= value <= high * (1.0 + 1e-9)]
+        if len(found) <= most:
+            break
+    if len(found) > most:
+        found = found[:: -(-len(found) // max(most, 2))]
+    if len(found) < 2:
+        found = [low, high]
+    axis.set_major_locator(FixedLocator(found))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{float(f'{value:.2g}'):g}"))
     axis.set_minor_formatter(NullFormatter())
 
 

@@ -12,6 +12,7 @@ from small_scenario import small
 from fleet.addons.pictures import gallery
 from fleet.addons.pictures.axes import MOST_MARKS
 from fleet.addons.pictures.caption import caption_of
+from fleet.addons.pictures.exchange import spacetime
 from fleet.addons.pictures.runs import View, load
 from fleet.execution.execute import execute
 from fleet.execution.options import Options
@@ -46,6 +47,17 @@ def test_each_moment_is_a_line_with_a_number(directory: Path) -> None:
     assert f"✗1  fails at {at[0]:g} s: formation_error\n" in words
     assert len(at) <= MOST_MARKS or f"and at {len(at) - MOST_MARKS} more times" in words
     assert marks(gallery.consensus([run], View(window=(at[0] + 0.001, 1.0)))) == at[1 : MOST_MARKS + 1]
+
+
+def test_messages_are_those_before_the_first_failure(tmp_path: Path) -> None:
+    """They were those around the first fault or loss, and the mark of the failure lay beside the picture."""
+    fails = "checks={signal: {topic: state.x, never: true, above: -100 m, after: 3 s, vehicles: 2}}"
+    scenario = small("duration=4 s", fails, "faults=[{at: 500 ms, for: 100 ms, mute: 1}]")
+    (run,) = load([execute(scenario, Options(tmp_path, in_process=True, quiet=True)).directory])
+    ((_, at_s),) = run.failures
+    figure = spacetime([run], View())
+    first, last = figure.axes[0].get_xlim()
+    assert marks(figure) == [at_s] and first < at_s <= last < first + 3.0
 
 
 def test_the_result_of_another_log_marks_nothing(directory: Path, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from fleet.addons.pictures.labels import labels_of
 from fleet.addons.pictures.report import _from_log, links_table, page
 from fleet.addons.pictures.report import write as write_report
 from fleet.addons.pictures.runs import LoggedRun, View, load, with_gaps
-from fleet.addons.pictures.style import panels, plain_decades
+from fleet.addons.pictures.style import panels, plain_decades, plain_numbers
 from fleet.addons.pictures.verbs.choice import KINDS, PARTS
 from fleet.errors import FleetError
 from fleet.logs.export import export
@@ -333,6 +333,38 @@ def test_no_interval_of_the_ages_is_shorter_than_a_tick(
     figure = figure_of(runs["moored"], "ages", "ages", View(window=window))
     mesh = figure.axes[1].collections[0].get_array()
     assert mesh.size and not np.ma.getmaskarray(mesh).any()
+
+
+def test_each_of_as_many_intervals_as_ticks_holds_one(runs: dict[str, LoggedRun]) -> None:
+    """An edge that lay above its tick by a rounding left an interval without one, which was white."""
+    run = runs["moored"]
+    last = round(run.log.end / run.tick_s)
+    for first in range(last):
+        for end in range(first + 1, last + 1):
+            edges = np.linspace(first * run.tick_s, end * run.tick_s, end - first + 1)
+            assert (np.diff(exchange._first_ticks(run, edges)[0]) == 1).all(), (first, end)
+
+
+@pytest.mark.parametrize(
+    ("limits", "most", "shown"),
+    [
+        ((0.1, 1.0), 4, "0.1 0.2 0.5 1"),
+        ((0.1, 8.0), 4, "0.1 1"),
+        ((0.1, 8.0), 6, "0.1 0.2 0.5 1 2 5"),
+        ((0.3, 0.9), 4, "0.3 0.9"),
+        ((0.03, 0.04), 4, "0.03 0.04"),
+        ((1e-4, 1e4), 3, "0.0001 0.1 100"),
+        ((0.2, 30.0), 2, "1 10"),
+    ],
+)
+def test_a_short_axis_has_few_numbers(limits: tuple[float, float], most: int, shown: str) -> None:
+    """The numbers beside a low bar of colours lay upon each other."""
+    figure, (ax,) = panels(1, 1)
+    ax.set_yscale("log")
+    ax.set_ylim(*limits)
+    plain_numbers(ax.yaxis, most)
+    figure.canvas.draw()
+    assert [t.label1.get_text() for t in ax.yaxis.get_major_ticks()] == shown.split()
 
 
 def test_the_ages_say_what_is_drawn(runs: dict[str, LoggedRun]) -> None:

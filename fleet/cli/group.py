@@ -60,11 +60,23 @@ class ListingGroup(click.Group):
 _TYPED = "fleet.typed"
 
 
-def typed_command() -> str:
-    """The command line that was typed, as one for a shell; of a command that is called from Python, its name."""
+def typed_command(without: str) -> str:
+    """The command line that was typed, as one for a shell; of a command that is called from Python, its name.
+
+    Args:
+        without: an option with a value that is left out, such as `--junit`.
+    """
     context = click.get_current_context()
     typed = context.meta.get(_TYPED)
-    return f"fleet {shlex.join(typed)}" if typed is not None else context.command_path
+    if typed is None:
+        return context.command_path
+    values = {number + 1 for number, word in enumerate(typed) if word == without}
+    kept = [
+        word
+        for number, word in enumerate(typed)
+        if number not in values and word != without and not word.startswith(f"{without}=")
+    ]
+    return f"fleet {shlex.join(kept)}"
 
 
 class FleetGroup(click.Group):

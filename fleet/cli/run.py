@@ -128,7 +128,7 @@ def execute_and_print(
         if result.directory is not None:
             for each in beside:
                 _tell(each.on_run_ended, result.directory)
-        cli_junit.write(junit, result.scenario, cli_junit.run_cases(result, typed_command()))
+        cli_junit.write(junit, result.scenario, cli_junit.run_cases(result, typed_command(without="--junit")))
         _print_result(result, quiet=options.quiet)
     sys.exit(result.status.exit)
 

@@ -55,7 +55,8 @@ class StatusLine:
         """
         self._terminal, self._quiet = terminal or stderr(), quiet or _hushed.get()
         self.live = rewritable(self._terminal)
-        self._next = time.monotonic() + ((0.0 if self.live else PLAIN_S) if first_s is None else first_s)
+        self._began = time.monotonic()
+        self._next = self._began + ((0.0 if self.live else PLAIN_S) if first_s is None else first_s)
         self._shown = False
 
     def __enter__(self) -> StatusLine:
@@ -88,7 +89,8 @@ class StatusLine:
             self._terminal.file.flush()
             self._shown = True
         elif at >= self._next:
-            self._next = at + PLAIN_S
+            # Seldom where it takes long: a file of an hour's work would have 720 lines.
+            self._next = at + max(PLAIN_S, (at - self._began) / 10)
             self._terminal.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def print(self, text: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import partial
 
 import pytest
 from rich.console import Console as Terminal
@@ -38,6 +39,18 @@ def test_elsewhere_a_line_comes_now_and_then(monkeypatch: pytest.MonkeyPatch) ->
     with showing_jobs(on) as report:
         report("drawing", 0.5)
     assert out.getvalue() == " 50%  drawing\n"
+
+
+def test_elsewhere_long_work_has_a_line_ever_more_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each five seconds a line: a study of an hour left 720 of them in the log of a CI service."""
+    now = 0.0
+    monkeypatch.setattr(status_line.time, "monotonic", lambda: now)
+    on, out = terminal(live=False)
+    with StatusLine(on, quiet=False) as line:
+        for now in range(3601):
+            line.update(partial("{} s".format, now))
+    times = [int(text.split()[0]) for text in out.getvalue().splitlines()]
+    assert times[:4] == [5, 10, 15, 20] and times[-1] > 3000 and len(times) < 60
 
 
 def test_colours_in_a_file_are_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:

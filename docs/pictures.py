@@ -1,7 +1,9 @@
 """Makes the pictures of the pages anew: `python docs/pictures.py [NAME ...]`, such as `stack-border.png`.
 
-Without a name it makes all of them, which takes about half an hour on two cores; each says how long it took. Look at
-what it has made before you commit it. Where a page shows the command of its picture, that command is run.
+Each says how long it took: on two cores (2026-12-01) those of runs and of study-example.md below a minute, boundary.png
+2 min, stack-border.png 5 min, study-controllers.png 11 min. study-rate.png needs more than 40 min, the other studies
+were not timed. Without a name all are made, in some hours. Look at what it has made before you commit it, and at the
+figures on its page. Where a page shows the command of its picture, that command is run.
 
 Only rooms.svg has a script of its own, benchmarks/rooms.py: a test compares it with the code.
 """

@@ -320,9 +320,14 @@ def unknown_vehicle(number: int, vehicles: int) -> UnknownVehicle:
     return UnknownVehicle(f"there is no vehicle {number}: the vehicles are 1 to {vehicles}", str(number))
 
 
+def vehicle_name(vehicle: int, names: Sequence[str] = ()) -> str:
+    """The number of a vehicle, or its name if it is a node."""
+    return names[vehicle - 1] if names else str(vehicle)
+
+
 def vehicle_names(vehicles: Sequence[int], names: Sequence[str] = ()) -> str:
     """`vehicle 3`, or `vehicles 3, 4 and 5 more`; with the names of nodes, `auv3, auv4 and 5 more`."""
-    shown = ", ".join(names[i - 1] if names else str(i) for i in vehicles[:8])
+    shown = ", ".join(vehicle_name(i, names) for i in vehicles[:8])
     more = f" and {len(vehicles) - 8} more" if len(vehicles) > 8 else ""
     noun = "" if names else "vehicles " if len(vehicles) > 1 else "vehicle "
     return f"{noun}{shown}{more}"

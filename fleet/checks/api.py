@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
-from fleet.quantities import time_ns, vehicle_names
+from fleet.quantities import time_ns, vehicle_name, vehicle_names
 from fleet.quantities import vehicle_numbers as vehicle_numbers
 from fleet.result.verdict import Margin as Margin
 
@@ -69,7 +69,7 @@ class Facts(NamedTuple):
         Returns:
             The name of a node, or the number.
         """
-        return self.names[vehicle - 1] if self.names else str(vehicle)
+        return vehicle_name(vehicle, self.names)
 
     def called(self, vehicles: Sequence[int]) -> str:
         """How a sentence calls some vehicles.

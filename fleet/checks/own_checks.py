@@ -39,6 +39,7 @@ class OwnChecks:
         """Make them; see `from_scenario`."""
         checks = scenario.spec.checks
         self._scenario, self._tick_s, self._last = scenario, scenario.tick_ns / 1e9, scenario.ticks
+        self._names = scenario.names
         self._places = {i: logged_signals(scenario, i).places() for i in range(1, scenario.vehicles + 1)}
         self._messages = LastMessages(scenario.graph.links, scenario.tick_ns)
         self._signals: list[RunningSignalCheck] = []
@@ -116,7 +117,7 @@ class OwnChecks:
             moment = self._moments.get(check.name)
             verdict = check.verdict(moment, self._now, over=over)
             if moment is not None and verdict.reached is None:
-                verdict = replace(verdict, found=f"{verdict.found}; {moment.words(self._scenario.names)}")
+                verdict = replace(verdict, found=f"{verdict.found}; {moment.words(self._names)}")
             found.append(verdict)
         return found
 
@@ -134,8 +135,9 @@ class OwnChecks:
         packets, self._fates = packets_of(self._fates, self._tick_s), []
         dead = _all(self._dead)
         asked: dict[str, None] = {}
-        names = self._scenario.names
-        vehicles = [SeenVehicle(i, i not in dead, values, signals, asked, names) for i, signals in self._places.items()]
+        vehicles = [
+            SeenVehicle(i, i not in dead, values, signals, asked, self._names) for i, signals in self._places.items()
+        ]
         for one in self._python:
             failure = one.step(tick, t, vehicles, faults, packets)
             one.looked_at |= asked

@@ -70,12 +70,12 @@ def typed_command(without: str) -> str:
     typed = context.meta.get(_TYPED)
     if typed is None:
         return context.command_path
-    values = {number + 1 for number, word in enumerate(typed) if word == without}
-    kept = [
-        word
-        for number, word in enumerate(typed)
-        if number not in values and word != without and not word.startswith(f"{without}=")
-    ]
+    kept, words = [], iter(typed)
+    for word in words:
+        if word == without:
+            next(words, None)  # its value
+        elif not word.startswith(f"{without}="):
+            kept.append(word)
     return f"fleet {shlex.join(kept)}"
 
 

@@ -108,11 +108,11 @@ def execute_and_print(
 
     Args:
         scenario: what to run.
-        options: how, as the companions have prepared it.
-        companions: what goes on beside the run.
-        terminal: for progress and warnings.
-        junit: where the result is written as a JUnit file, too; None: nowhere.
-        wiring: what it is connected to, as the companions have it.
+        options: how to run it. The companions have prepared this.
+        companions: each does something beside the run.
+        terminal: shows progress and warnings.
+        junit: a JUnit file for the result. None writes none.
+        wiring: how the run is connected. The companions have prepared this, too.
     """
     from fleet.execution.execute import execute
 
@@ -134,14 +134,15 @@ def execute_and_print(
 
 
 def _with_begun_faults(scenario: Scenario, start: Start | None, *, quiet: bool) -> Scenario:
-    """The scenario with the faults that its triggers begin, which are said."""
+    """The scenario with the faults that its triggers begin. Unless it is to be quiet, each of them is printed."""
+    if not scenario.spec.triggers:
+        return scenario  # without the imports below
+
     from fleet.execution.triggered import resolve_triggers
     from fleet.scenario.scenario import fault_line, timeline
     from fleet.scenario.sections.triggers import moments
 
     names = moments(scenario.spec.triggers, scenario.spec)
-    if not names:
-        return scenario
     scenario = resolve_triggers(scenario, start)
     for fault in () if quiet else timeline(scenario):
         if fault.id in names:

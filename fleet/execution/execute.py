@@ -70,19 +70,18 @@ def execute(scenario: Scenario, options: Options, terminal: Terminal | None = No
     """Run a scenario to its verdict. Only a caller's mistake raises; a run that breaks is a result.
 
     Args:
-        scenario: what is run. Its triggers are resolved before, if nobody has done so.
-        options: how the user wants it.
-        terminal: where progress is shown; None: stderr.
-        wiring: what it is connected to.
+        scenario: what to run. Triggers that it still has are resolved first.
+        options: how the user wants to run it.
+        terminal: shows progress. None stands for stderr.
+        wiring: how the run is connected.
 
     Raises:
         ScenarioError: a plant cannot be started, or a module may not run.
         RunBroken: the port is taken.
         LogError: the log cannot be created.
         CheckError: a check in Python cannot be made.
-        FleetError: the run directory cannot be made, nobody allowed a gateway to be started, the journal cannot be
-            published, an agent is external in a run
-            in one process, or the run that this one goes on from does not come out as its log has it.
+        FleetError: making the run directory or publishing the journal fails. A gateway would start without permission.
+            A run in one process has an external agent. The run that this one continues differs from its log.
     """
     scenario = resolve_triggers(scenario, wiring.start)
     if has_gateways(scenario):
@@ -148,11 +147,7 @@ def _prepare(
     links = None if moment is None else moment.links
     writer = LogWriter(log, scenario, wiring.start, publisher, options.clock, links)
     if publisher is not None:
-        publisher.open()
-        where = f"fleet/{publisher.run}/log/** at {publisher.endpoint}"
-        line.print(f"publishing {where}; how to join: {directory.observe}")
-        if wiring.on_published is not None:
-            wiring.on_published(directory.path)
+        _publish(publisher, directory, line, wiring)
     journal = Journal(scenario, writer, interrupts, checks)
     runner: Runner
     if wiring.relay is not None:
@@ -171,6 +166,15 @@ def _prepare(
         status=Status.PASS,
     )
     return _Run(scenario, options, wiring, directory, publisher, log, journal, runner, line, result, in_process, shared)
+
+
+def _publish(publisher: LivePublisher, directory: RunDirectory, line: StatusLine, wiring: Wiring) -> None:
+    """Open the publisher, and tell the user and whoever wants to know."""
+    publisher.open()
+    where = f"fleet/{publisher.run}/log/** at {publisher.endpoint}"
+    line.print(f"publishing {where}; how to join: {directory.observe}")
+    if wiring.on_published is not None:
+        wiring.on_published(directory.path)
 
 
 def _serve(run: _Run) -> None:

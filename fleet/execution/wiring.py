@@ -1,4 +1,4 @@
-"""What a run is connected to, which no option of a command says by itself."""
+"""How a run is connected: commands and companions decide this, and no option does so by itself."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from fleet.quantities import vehicle_names
+from fleet.quantities import vehicle_name, vehicle_names
 from netem.cause import Cause
 
 
@@ -32,7 +32,7 @@ class LastMessage(Struct, frozen=True):
         if self.silent:
             last = "nothing" if self.heard_s is None else f"what it sent at {self.heard_s:g} s"
             return f"{src} sends no more, and the last that {dst} has of it is {last}"
-        link = f"{names[self.src - 1]}->{names[self.dst - 1]}" if names else f"{self.src}->{self.dst}"
+        link = f"{vehicle_name(self.src, names)}->{vehicle_name(self.dst, names)}"
         when = f"sent at {self.sent_s:g} s"
         if self.fate == Cause.DELIVERED:
             return f"the last message that {dst} received: {link}, {when}, due at {self.at_s:g} s"

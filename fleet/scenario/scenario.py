@@ -14,7 +14,7 @@ from agents.controllers import BUILT_IN, laws, layout, speaks
 from agents.offset import Offset, OffsetChange
 from agents.plugins.laws import with_whole_path
 from agents.signals import SignalLayout
-from fleet.quantities import vehicle_numbers
+from fleet.quantities import vehicle_name, vehicle_numbers
 from fleet.scenario.parts import Parts
 from fleet.scenario.schema.spec import ScenarioSpec
 from fleet.scenario.schema.vehicle import PlantSection, VehicleSection
@@ -114,7 +114,7 @@ class Scenario:
 
     def vehicle_name(self, i: int) -> str:
         """The number of a vehicle, or the name of a node."""
-        return self.names[i - 1] if self.names else str(i)
+        return vehicle_name(i, self.names)
 
     def link_name(self, link: Link) -> str:
         """`1->2`, or with the names of nodes."""

@@ -31,10 +31,10 @@ def fed(
     """The verdicts of checks on `nav.z`, or on `error.e_norm`.
 
     Args:
-        faults: as `--set` of a scenario; they happen as planned.
+        faults: a `--set` of the scenario. They happen as planned.
         fates: in the order of their final ticks.
-        at_once: judge only at the end, not at every tick.
-        names: of the three, as `--set` of a scenario of nodes has them.
+        at_once: whether the checks judge only at the end.
+        names: a `--set` of the scenario, which makes the three vehicles nodes.
     """
     scenario = small("duration=4 s", f"checks={{{checks}}}", *filter(None, [faults, names]))
     own = OwnChecks.from_scenario(scenario)

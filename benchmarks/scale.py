@@ -19,11 +19,13 @@ from fleet.execution.directory import RunDirectory
 from fleet.execution.hosting import hosting
 from fleet.execution.in_process import InProcess
 from fleet.execution.options import Options
+from fleet.execution.wiring import USUAL
 from fleet.recorder.journal import Journal
 from fleet.recorder.log_file import LogFile
 from fleet.recorder.writer import LogWriter
 from fleet.scenario.loading import load_scenario
 from fleet.scenario.scenario import Scenario
+from netem.clock import Clock
 from netem.private_folder import PrivateFolder
 
 AGENT_TICKS = 20_000  # of a run, about
@@ -154,7 +156,7 @@ def measure_scale(
             x_real_time=apart.passed * tick_ns / 1e9 / apart.wall_s,
             agent_mb=apart.agent_mb,
             all_mb=apart.all_mb,
-            per_process=hosting(scenario, Options()).processes_used(scenario)[1],
+            per_process=hosting(scenario, Clock.LOCKSTEP).processes_used(scenario)[1],
         )
 
 
@@ -170,8 +172,8 @@ def _measured(scenario: Scenario, *, in_process: bool) -> tuple[_Meter, float]:
                 if in_process:
                     InProcess(scenario, journal).serve(GrantPolicy.of(scenario), meter)
                     return meter, 0.0
-                shared = hosting(scenario, options)
-                console = Console(scenario, directory, journal, options, shared, "5ca1e", lambda _: None)
+                shared = hosting(scenario, options.clock)
+                console = Console(scenario, directory, journal, options, USUAL, shared, "5ca1e", lambda _: None)
                 console.serve(GrantPolicy.of(scenario), meter)
                 return meter, console.started_s
             except RunBroken as error:
